@@ -1,0 +1,110 @@
+"""What a decoder is, and what comes out of one: frames, skipped frames, rejects and refusals.
+
+Decoders do no I/O: bytes in, events out, bytes owed. One instance serves one session.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, Protocol
+
+import msgspec
+
+from gateway.api.layout import Layout
+from gateway.api.model import Quality
+
+RefusedKind = Literal["out_of_step", "incompatible", "refused"]
+
+
+class Frame(msgspec.Struct, frozen=True, gc=False):
+    """One delimited unit on the wire that carries state.
+
+    Made once a frame on the hot path, hence a msgspec struct.
+
+    Attributes:
+        raw: All bytes of the frame, header and tail included.
+        layout: The table that explains its payload.
+        start: Where in `raw` the layout's offset 0 is.
+        quality: UNCERTAIN where the frame is longer than its layout.
+    """
+
+    raw: bytes
+    layout: Layout
+    start: int = 0
+    quality: Quality = Quality.GOOD
+
+    def __str__(self) -> str:
+        return f"Frame({self.layout.name}, {len(self.raw)} bytes)"
+
+
+class Skipped(msgspec.Struct, frozen=True, gc=False):
+    """A known frame that carries no state: it moves no deadline and answers no request."""
+
+    raw: bytes
+    reason: str
+
+    def __str__(self) -> str:
+        return f"Skipped({self.reason}, {len(self.raw)} bytes)"
+
+
+class Reject(msgspec.Struct, frozen=True, gc=False):
+    """Bytes that are no frame.
+
+    Attributes:
+        raw: The discarded bytes.
+        reason: A short, stable word that counters are kept by.
+        detail: What was found and what was expected, for the operator.
+    """
+
+    raw: bytes
+    reason: str
+    detail: str = ""
+
+    def __str__(self) -> str:
+        return f"Reject({self.reason}, {len(self.raw)} bytes)"
+
+
+class Refused(msgspec.Struct, frozen=True, gc=False):
+    """The decoder cannot go on with this session.
+
+    Attributes:
+        reason: What happened, in words for the operator.
+        kind: `out_of_step` (reconnect at once), `incompatible` (no layout explains the frames) or `refused` (login, version).
+    """
+
+    reason: str
+    kind: RefusedKind = "refused"
+
+
+Event = Frame | Skipped | Reject | Refused
+
+
+class Decoder(Protocol):
+    """Reads one session's bytes."""
+
+    @property
+    def ready(self) -> bool:
+        """Whether the handshake is done: the link goes from HANDSHAKING to ONLINE with the first frame after it."""
+        ...
+
+    def feed(self, data: bytes) -> list[Event]:
+        """Take received bytes, cut anywhere, and return what they completed, in wire order.
+
+        The joined `raw` of all events is a prefix of the stream, and the frames are the same however it is cut.
+        """
+        ...
+
+    def end(self) -> list[Reject]:
+        """Return what is left in the buffer when a datagram or the stream ends: it is no frame."""
+        ...
+
+    def outgoing(self) -> bytes:
+        """Return the bytes owed to the controller now (hello, configuration, acknowledgement)."""
+        ...
+
+    def tick(self) -> bytes | Refused:
+        """Return the next request or a retry; called at the protocol's period. b"" where nothing is due."""
+        ...
+
+    def goodbye(self) -> bytes:
+        """Return the bytes owed before a wanted close."""
+        ...

@@ -1,0 +1,350 @@
+"""How frames are delimited on the wire, as data, and the one decoder that follows it.
+
+`Framing` says where magic, length, type, checksum and tail stand; `FramedDecoder` finds the frames; `Polled` adds the
+discipline of protocols that answer one request with one frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from gateway.api.decoder import Event, Frame, Refused, Reject, Skipped
+from gateway.api.layout import TYPES, Layout
+from gateway.api.model import Quality
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kind:
+    """One type of frame: a row of a framing.
+
+    Args:
+        type: Value of the type field; None where the framing has none.
+        name: Shown where such frames are counted.
+        layouts: The tables of its known sizes, in any order; empty for a frame that carries no state and is skipped.
+        smallest: Smallest total size in bytes that a header may promise.
+        largest: Largest total size in bytes that a header may promise.
+        step: The total size is a multiple of it.
+    """
+
+    type: int | None
+    name: str
+    layouts: tuple[Layout, ...] = ()
+    smallest: int
+    largest: int
+    step: int = 1
+
+    @property
+    def carries_state(self) -> bool:
+        """Whether frames of this kind are decoded, rather than skipped."""
+        return bool(self.layouts)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Checksum:
+    """A checksum behind the payload.
+
+    Args:
+        type: Table type of the field.
+        of: The value that the covered bytes (all before the field) must have.
+    """
+
+    type: str
+    of: Callable[[bytes], int]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Framing:
+    """Where the parts of a frame stand.
+
+    Args:
+        magic: The first bytes of every frame.
+        header: Bytes before the payload.
+        length_at: Offset of the length field.
+        length_type: Table type of the length field.
+        length_adds: What must be added to the length field to give the total size in bytes.
+        type_at: Offset of the one-byte type field, or None.
+        kinds: The types of frames that exist.
+        layout_at: Where in a frame the layouts' offset 0 is.
+        checksum: The checksum before the tail, or None.
+        tail: The last bytes of every frame.
+        byteorder: `little` or `big`.
+        one_length: Whether a session accepts only the length of its first good state frame. For protocols without a
+            checksum, whose controllers never change it.
+    """
+
+    magic: bytes
+    header: int
+    length_at: int
+    length_type: str = "u16"
+    length_adds: int = 0
+    type_at: int | None = None
+    kinds: tuple[Kind, ...]
+    layout_at: int = 0
+    checksum: Checksum | None = None
+    tail: bytes = b""
+    byteorder: Literal["little", "big"] = "little"
+    one_length: bool = False
+
+    @property
+    def largest(self) -> int:
+        """The largest total size in bytes that a header may promise: what one damaged header can cost."""
+        return max(kind.largest for kind in self.kinds)
+
+
+_Wrong = tuple[str, str]  # the reason and the detail of a Reject
+
+
+class _Sizes:
+    """The total sizes that frames of one kind may have."""
+
+    def __init__(self, framing: Framing, kind: Kind) -> None:
+        self.kind = kind
+        self.layouts = {_total(framing, layout): layout for layout in kind.layouts}
+        self.longest = max(self.layouts, default=0)
+
+    def allow(self, total: int) -> bool:
+        """Whether a header may promise this size: a known one, or a longer one, whose tail is then ignored."""
+        if not self.kind.smallest <= total <= self.kind.largest or total % self.kind.step:
+            return False
+        return total in self.layouts or total > self.longest
+
+    def __str__(self) -> str:
+        known = ", ".join(str(size) for size in sorted(self.layouts))
+        return f"{known} or more" if known else f"{self.kind.smallest} to {self.kind.largest}"
+
+
+class FramedDecoder:
+    """Finds the frames of a `Framing` in a stream that is cut anywhere.
+
+    A wrong header costs one byte, then the search goes on: the next whole good frame is always found.
+    """
+
+    ready = True
+
+    def __init__(self, framing: Framing) -> None:
+        self._framing = framing
+        self._kinds = {kind.type: _Sizes(framing, kind) for kind in framing.kinds}
+        self._starts, self._headers = _plausible_headers(framing)
+        self._buffer = b""
+        self._length: int | None = None
+
+    @property
+    def pending(self) -> int:
+        """How many bytes wait in the buffer for the rest of their frame."""
+        return len(self._buffer)
+
+    def feed(self, data: bytes) -> list[Event]:
+        """Take received bytes and return what they completed."""
+        buffer = self._buffer + data if self._buffer else data
+        events: list[Event] = []
+        size = len(buffer)
+        at = dropped = 0
+        reason = detail = ""
+        while at < size:
+            found = buffer.find(self._framing.magic, at)
+            if found != at:
+                reason = reason or "junk"
+                at = _partial_magic(buffer, self._framing.magic, at) if found < 0 else found
+                continue
+            outcome = self._frame_at(buffer, at)
+            if outcome is None:
+                break
+            if isinstance(outcome, tuple):
+                if not reason:
+                    reason, detail = outcome
+                at += 1
+                continue
+            if dropped < at:
+                events.append(Reject(buffer[dropped:at], reason, detail))
+                reason = detail = ""
+            events.append(outcome)
+            at += len(outcome.raw)
+            dropped = at
+        if dropped < at:
+            events.append(Reject(buffer[dropped:at], reason, detail))
+        self._buffer = buffer[at:]
+        return events
+
+    def end(self) -> list[Reject]:
+        """Return what is left in the buffer: a frame that never became whole."""
+        left, self._buffer = self._buffer, b""
+        if not left:
+            return []
+        promised = self._promised(left, 0)
+        detail = f"the header promises {promised} bytes, {len(left)} came" if promised else f"{len(left)} bytes came"
+        return [Reject(left, "truncated", detail)]
+
+    def outgoing(self) -> bytes:
+        """Nothing is owed: such streams are only read."""
+        return b""
+
+    def tick(self) -> bytes | Refused:
+        """Nothing is asked: such streams are pushed."""
+        return b""
+
+    def goodbye(self) -> bytes:
+        """Nothing is owed before a close."""
+        return b""
+
+    def _promised(self, buffer: bytes, at: int) -> int | None:
+        """The total size that the header promises, or None while the header is not whole."""
+        framing = self._framing
+        if len(buffer) - at < framing.header:
+            return None
+        start = at + framing.length_at
+        width = TYPES[framing.length_type][2]
+        return int.from_bytes(buffer[start : start + width], framing.byteorder) + framing.length_adds
+
+    def _frame_at(self, buffer: bytes, at: int) -> Frame | Skipped | _Wrong | None:
+        """The frame that begins at `at`; what is wrong where none does; None while more bytes are needed."""
+        framing = self._framing
+        total = self._promised(buffer, at)
+        if total is None:
+            return None
+        type_ = None if framing.type_at is None else buffer[at + framing.type_at]
+        sizes = self._kinds.get(type_)
+        if sizes is None:
+            return "type", f"type {type_}, known are {', '.join(str(known) for known in self._kinds)}"
+        if not sizes.allow(total):
+            return "size", f"{sizes.kind.name} of {total} bytes, known are {sizes}"
+        carries_state = sizes.longest > 0
+        if carries_state and framing.one_length and self._length not in {None, total}:
+            return "length", f"{sizes.kind.name} of {total} bytes in a session of {self._length} bytes"
+        if len(buffer) - at < total:
+            return None
+        raw = buffer[at : at + total]
+        if framing.tail and not raw.endswith(framing.tail):
+            return "tail", f"ends {raw[-len(framing.tail) :].hex(' ')}, expected {framing.tail.hex(' ')}"
+        if framing.checksum is not None and not _checksum_holds(framing, framing.checksum, raw):
+            return "checksum", f"{sizes.kind.name} of {total} bytes"
+        if not carries_state:
+            return Skipped(raw, sizes.kind.name)
+        if framing.one_length and self._length is None:
+            if any(start < total and raw[start : start + framing.header] in self._headers for start in self._starts):
+                return "straddle", f"{sizes.kind.name} of {total} bytes holds the header of another"
+            self._length = total
+        exact = sizes.layouts.get(total)
+        if exact is not None:
+            return Frame(raw, exact, framing.layout_at)
+        return Frame(raw, sizes.layouts[sizes.longest], framing.layout_at, Quality.UNCERTAIN)
+
+
+class Polled:
+    """The discipline of a protocol that answers one request with one frame, and numbers neither.
+
+    One request is outstanding, never two: a late answer would be taken for the next one, and every following sample would
+    be one request old. A frame that nobody asked for, or bytes that stay unexplained before the next request, mean that
+    the stream is out of step: only a new session helps.
+
+    Args:
+        decoder: Finds the frames.
+        request: The bytes that ask for one frame.
+    """
+
+    # How many periods unexplained bytes may wait for the rest of their frame before the stream counts as out of step.
+    GRACE_TICKS = 5
+
+    def __init__(self, decoder: FramedDecoder, request: bytes) -> None:
+        self._decoder = decoder
+        self._request = request
+        self._outstanding = False
+        self._waited = 0
+
+    @property
+    def ready(self) -> bool:
+        """Whether frames may come: such protocols need no handshake."""
+        return self._decoder.ready
+
+    def feed(self, data: bytes) -> list[Event]:
+        """Take received bytes; a frame without a request is rejected and ends the session."""
+        events = self._decoder.feed(data)
+        if len(events) == 1 and self._outstanding and type(events[0]) is Frame:
+            self._outstanding = False
+            return events
+        return self._in_step(events)
+
+    def end(self) -> list[Reject]:
+        """Return what is left in the buffer."""
+        return self._decoder.end()
+
+    def outgoing(self) -> bytes:
+        """Nothing is owed between requests."""
+        return b""
+
+    def tick(self) -> bytes | Refused:
+        """Return the request, or b"" while one is outstanding or received bytes are unexplained."""
+        if self._outstanding:
+            return b""
+        if self._decoder.pending:
+            self._waited += 1
+            if self._waited < self.GRACE_TICKS:
+                return b""
+            return Refused(f"{self._decoder.pending} bytes came that no request asked for", "out_of_step")
+        self._waited = 0
+        self._outstanding = True
+        return self._request
+
+    def goodbye(self) -> bytes:
+        """Nothing is owed before a close."""
+        return b""
+
+    def _in_step(self, events: list[Event]) -> list[Event]:
+        kept: list[Event] = []
+        refused: list[Event] = []
+        for event in events:
+            if type(event) is not Frame:
+                kept.append(event)
+            elif self._outstanding:
+                self._outstanding = False
+                kept.append(event)
+            else:
+                kept.append(
+                    Reject(event.raw, "unrequested", f"a frame of {len(event.raw)} bytes that nobody asked for")
+                )
+                refused = [Refused("a frame came that no request asked for", "out_of_step")]
+        return kept + refused
+
+
+def _total(framing: Framing, layout: Layout) -> int:
+    """Total size of a frame that a layout explains exactly."""
+    behind = len(framing.tail) + (TYPES[framing.checksum.type][2] if framing.checksum else 0)
+    return framing.layout_at + layout.size + behind
+
+
+def _checksum_holds(framing: Framing, checksum: Checksum, raw: bytes) -> bool:
+    end = len(raw) - len(framing.tail)
+    start = end - TYPES[checksum.type][2]
+    return checksum.of(raw[:start]) == int.from_bytes(raw[start:end], framing.byteorder)
+
+
+def _partial_magic(buffer: bytes, magic: bytes, at: int) -> int:
+    """Where the buffer's last bytes may begin a magic; its end if they cannot."""
+    for start in range(max(at, len(buffer) - len(magic) + 1), len(buffer)):
+        if magic.startswith(buffer[start:]):
+            return start
+    return len(buffer)
+
+
+def _plausible_headers(framing: Framing) -> tuple[tuple[int, ...], frozenset[bytes]]:
+    """The known state sizes, and the headers that a following frame of a known size would have.
+
+    A frame without a checksum whose damaged length reaches into the next frame shows that frame's header where its own
+    true end is: so it is noticed, however the stream is cut.
+    """
+    starts: list[int] = []
+    headers: set[bytes] = set()
+    width = TYPES[framing.length_type][2]
+    for kind in framing.kinds:
+        for layout in kind.layouts:
+            size = _total(framing, layout)
+            header = bytearray(framing.header)
+            header[: len(framing.magic)] = framing.magic
+            length = (size - framing.length_adds).to_bytes(width, framing.byteorder)
+            header[framing.length_at : framing.length_at + width] = length
+            if framing.type_at is not None and kind.type is not None:
+                header[framing.type_at] = kind.type
+            starts.append(size)
+            headers.add(bytes(header))
+    return tuple(starts), frozenset(headers)

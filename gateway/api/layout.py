@@ -1,0 +1,289 @@
+"""Payload tables: one table describes a frame, and decodes it, encodes it, and prints its schema and docs.
+
+A `Layout` holds `Field` rows with explicit offsets, and their `Flag` rows name the bits. Reading many frames goes through
+the numpy `dtype` and `read_many`; reading one frame on the hot path is compiled (see `compiler.py`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from gateway.api import units
+
+# table type -> (struct code, numpy code, bytes of one element)
+TYPES: dict[str, tuple[str, str, int]] = {
+    "u8": ("B", "u1", 1),
+    "i8": ("b", "i1", 1),
+    "u16": ("H", "u2", 2),
+    "i16": ("h", "i2", 2),
+    "u32": ("I", "u4", 4),
+    "i32": ("i", "i4", 4),
+    "u64": ("Q", "u8", 8),
+    "i64": ("q", "i8", 8),
+    "f32": ("f", "f4", 4),
+    "f64": ("d", "f8", 8),
+}
+
+Value = int | float | None
+Values = Mapping[str, object]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Flag:
+    """A named bit, or a named run of bits, of a field.
+
+    Args:
+        name: The manual's name, unique inside the layout.
+        bit: The lowest bit.
+        width: How many bits.
+        meaning: What it says, with the meaning of its values.
+        note: What is doubtful about it.
+        since: The version of the manual that first names it, or "" where all do.
+    """
+
+    name: str
+    bit: int
+    width: int = 1
+    meaning: str = ""
+    note: str = ""
+    since: str = ""
+
+    @property
+    def mask(self) -> int:
+        """The mask after shifting down: `value = (word >> bit) & mask`."""
+        return (1 << self.width) - 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Field:
+    """A named value of a frame: a scalar, or an array of equal elements.
+
+    Args:
+        name: The manual's own name.
+        offset: Bytes from the start of the layout.
+        type: A key of `TYPES`.
+        count: Elements of an array; None for a scalar.
+        unit: A unit of `gateway.api.units`, or None. `mm|deg` is a pose: three lengths and three angles.
+        meaning: What it says.
+        flags: Named bits of (each element of) the word.
+        present: How many elements the frame carries: fewer than there are where a layout is a prefix.
+    """
+
+    name: str
+    offset: int
+    type: str
+    count: int | None = None
+    unit: str | None = None
+    meaning: str = ""
+    flags: tuple[Flag, ...] = ()
+    present: int = -1
+
+    def __post_init__(self) -> None:
+        if self.type not in TYPES:
+            raise ValueError(f"field {self.name}: type {self.type!r} is unknown; known are {', '.join(TYPES)}")
+        if self.present == -1:
+            object.__setattr__(self, "present", self.elements)
+
+    @property
+    def elements(self) -> int:
+        """How many elements the field has when it is whole."""
+        return 1 if self.count is None else self.count
+
+    @property
+    def item_size(self) -> int:
+        """Bytes of one element."""
+        return TYPES[self.type][2]
+
+    @property
+    def end(self) -> int:
+        """Offset of the first byte behind the whole field."""
+        return self.offset + self.elements * self.item_size
+
+    @property
+    def is_float(self) -> bool:
+        """Whether the elements are floating-point numbers."""
+        return self.type in {"f32", "f64"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """One payload table.
+
+    Args:
+        name: Unique inside the protocol; shown as `link.layout`.
+        size: Bytes of the payload.
+        fields: The rows, in wire order.
+        source: Manual, version and section that the table was taken from.
+        byteorder: `<` or `>`.
+    """
+
+    name: str
+    size: int
+    fields: tuple[Field, ...]
+    source: str
+    byteorder: str = "<"
+
+    @cached_property
+    def by_name(self) -> dict[str, Field]:
+        """The fields by name."""
+        return {field.name: field for field in self.fields}
+
+    @cached_property
+    def flag_owner(self) -> dict[str, tuple[Field, Flag]]:
+        """Each flag with the field that carries it, by `field.flag`."""
+        return {f"{field.name}.{flag.name}": (field, flag) for field in self.fields for flag in field.flags}
+
+    @cached_property
+    def dtype(self) -> np.dtype[np.void]:
+        """The numpy dtype, with explicit offsets; cut-off elements are left out."""
+        here = [field for field in self.fields if field.present]
+        return np.dtype(
+            {
+                "names": [field.name for field in here],
+                "formats": [_numpy_format(field, self.byteorder) for field in here],
+                "offsets": [field.offset for field in here],
+                "itemsize": self.size,
+            },
+        )
+
+    def prefix(self, size: int, *, name: str, absent: Sequence[str] = ()) -> Layout:
+        """Derive the layout of a shorter frame: what is cut off stays in the table and reads as null.
+
+        Args:
+            size: Bytes of the shorter payload.
+            name: Name of the derived layout.
+            absent: Fields that the shorter frame carries with another meaning, so they read as null too.
+
+        Raises:
+            ValueError: The size is not shorter, or an absent field does not exist.
+        """
+        if not 0 < size < self.size:
+            raise ValueError(f"layout {self.name}: a prefix has 1 to {self.size - 1} bytes, not {size}")
+        unknown = set(absent) - set(self.by_name)
+        if unknown:
+            raise ValueError(f"layout {self.name}: no field {', '.join(sorted(unknown))}")
+
+        def cut(field: Field) -> Field:
+            whole = max(0, (size - field.offset) // field.item_size)
+            return dataclasses.replace(field, present=0 if field.name in absent else min(field.elements, whole))
+
+        return dataclasses.replace(self, name=name, size=size, fields=tuple(cut(field) for field in self.fields))
+
+    def encode(self, values: Values) -> bytes:
+        """Encode named values; what is not named is zero.
+
+        Args:
+            values: A number or a sequence for each field; a field with flags also takes a mapping of `raw` and flag
+                names (or a sequence of such mappings), of which the flags win. None is written as zero.
+
+        Returns:
+            `size` bytes.
+
+        Raises:
+            ValueError: A name is unknown, an array has the wrong length, or a value does not fit its type.
+        """
+        unknown = set(values) - set(self.by_name)
+        if unknown:
+            raise ValueError(f"layout {self.name}: no field {', '.join(sorted(unknown))}")
+        payload = bytearray(self.size)
+        for name, value in values.items():
+            field = self.by_name[name]
+            items = [value] if field.count is None else value
+            if not isinstance(items, Sequence) or len(items) != field.elements:
+                raise ValueError(f"layout {self.name}: {name} takes {field.elements} values, not {value!r}")
+            words = [_word(field, item) for item in items[: field.present]]
+            try:
+                struct.pack_into(self._code(field), payload, field.offset, *words)
+            except (struct.error, TypeError) as error:
+                raise ValueError(f"layout {self.name}: {name} = {value!r}: {error}") from None
+        return bytes(payload)
+
+    def read_many(self, payloads: bytes) -> np.ndarray[tuple[int], np.dtype[np.void]]:
+        """Read whole payloads laid end to end, for recordings and plots.
+
+        Returns:
+            Shape (n,), one record a payload, with the raw values of the table.
+
+        Raises:
+            ValueError: The length is no multiple of `size`.
+        """
+        return np.frombuffer(payloads, dtype=self.dtype)
+
+    def problems(self) -> list[str]:
+        """Lint the table: one line for each thing that is wrong with it."""
+        found = [] if self.source else ["no source: name manual, version and section"]
+        names = [field.name for field in self.fields]
+        found += [
+            f"{name}: the name stands twice" for name in sorted({name for name in names if names.count(name) > 1})
+        ]
+        for before, after in zip(self.fields, self.fields[1:], strict=False):
+            if after.offset < before.end:
+                found.append(f"{after.name}: at {after.offset} it overlaps {before.name}, which ends at {before.end}")
+        for field in self.fields:
+            found += self._field_problems(field)
+        return found
+
+    def _field_problems(self, field: Field) -> list[str]:
+        found = []
+        if field.present and field.offset + field.present * field.item_size > self.size:
+            found.append(f"{field.name}: it ends behind the {self.size} bytes of the layout")
+        if field.unit is not None and not units.is_known(field.unit):
+            found.append(f"{field.name}: unit {field.unit!r} is unknown")
+        if field.unit is not None and "|" in field.unit and field.count != 6:  # noqa: PLR2004 - x y z and three angles
+            found.append(f"{field.name}: a pose has six elements")
+        taken = 0
+        for flag in field.flags:
+            bits = flag.mask << flag.bit
+            if flag.bit + flag.width > 8 * field.item_size:
+                found.append(f"{field.name}.{flag.name}: it does not fit {field.type}")
+            if bits & taken:
+                found.append(f"{field.name}.{flag.name}: it overlaps another flag")
+            taken |= bits
+        flag_names = [flag.name for flag in field.flags]
+        if len(set(flag_names)) != len(flag_names) or "raw" in flag_names:
+            found.append(f"{field.name}: flag names must be unique, and none may be `raw`")
+        if field.flags and field.is_float:
+            found.append(f"{field.name}: a float has no flags")
+        return found
+
+    def _code(self, field: Field) -> str:
+        return f"{self.byteorder}{field.present}{TYPES[field.type][0]}"
+
+
+def is_finite(value: Value) -> bool:
+    """Whether a raw value may be used: integers always, floats unless they are NaN or infinite."""
+    return value is not None and math.isfinite(value)
+
+
+def _numpy_format(field: Field, byteorder: str) -> object:
+    code = byteorder + TYPES[field.type][1]
+    return code if field.count is None else (code, (field.present,))
+
+
+def _word(field: Field, item: object) -> int | float:
+    """The raw word of one element; a mapping of flags is put together."""
+    if item is None:
+        return 0
+    if isinstance(item, Mapping):
+        flags = {flag.name: flag for flag in field.flags}
+        word = item.get("raw") or 0
+        for name, value in item.items():
+            if name == "raw":
+                continue
+            if name not in flags:
+                raise ValueError(f"field {field.name} has no flag {name!r}")
+            flag = flags[name]
+            if not 0 <= int(value) <= flag.mask:
+                raise ValueError(f"field {field.name}: flag {name} takes 0 to {flag.mask}, not {value!r}")
+            word = word & ~(flag.mask << flag.bit) | int(value) << flag.bit
+        return int(word)
+    if isinstance(item, (int, float)):
+        return item
+    raise ValueError(f"field {field.name}: {item!r} is no number")

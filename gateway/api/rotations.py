@@ -1,0 +1,48 @@
+"""Rotations: from the vendors' three angles to the model's unit quaternions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import cos, sin
+from typing import Literal
+
+from gateway.api.model import Pose
+
+Rotation = Literal["rpy_fixed_xyz"]
+
+
+def quaternion_from_rpy(rx: float, ry: float, rz: float) -> list[float | None]:
+    """Convert roll-pitch-yaw to a unit quaternion: R = Rz(rz)·Ry(ry)·Rx(rx).
+
+    The same rotation is called Z-Y'-X'' Euler, or fixed X, Y, Z.
+
+    Args:
+        rx: Roll, rad, about the fixed X axis of the base.
+        ry: Pitch, rad, about the fixed Y axis.
+        rz: Yaw, rad, about the fixed Z axis.
+
+    Returns:
+        Shape (4,), (x, y, z, w), w >= 0.
+    """
+    cx, sx = cos(rx * 0.5), sin(rx * 0.5)
+    cy, sy = cos(ry * 0.5), sin(ry * 0.5)
+    cz, sz = cos(rz * 0.5), sin(rz * 0.5)
+    x = sx * cy * cz - cx * sy * sz
+    y = cx * sy * cz + sx * cy * sz
+    z = cx * cy * sz - sx * sy * cz
+    w = cx * cy * cz + sx * sy * sz
+    return [x, y, z, w] if w >= 0 else [-x, -y, -z, -w]
+
+
+def pose_from_rpy(x: float, y: float, z: float, rx: float, ry: float, rz: float) -> Pose:
+    """Make a pose of a position in m and roll-pitch-yaw in rad about the fixed axes."""
+    return Pose([x, y, z], quaternion_from_rpy(rx, ry, rz))
+
+
+# How a pose is made of six numbers, by the rotation that a signal row states.
+POSE_FROM: dict[Rotation, Callable[[float, float, float, float, float, float], Pose]] = {"rpy_fixed_xyz": pose_from_rpy}
+
+
+def pose_without_rotation(x: float, y: float, z: float, *_: float) -> Pose:
+    """Make a pose whose rotation is not known: its orientation is null."""
+    return Pose([x, y, z], None)

@@ -1,0 +1,303 @@
+"""From the fields of the Rainbow state frame to the canonical model, traps included.
+
+What the controller does not send stays null: joint velocity, acceleration and effort, the operating mode, the flange pose,
+the program's name and line. Bits that only v6.10 describes may be unfilled on an older box, whose frames look the same:
+their 1 is told, their 0 is "cannot tell".
+"""
+
+from __future__ import annotations
+
+from gateway.api.model import (
+    Fault,
+    FunctionKind,
+    Motion,
+    Power,
+    ProgramState,
+    Quality,
+    SafetyFunction,
+    SafetyState,
+    Severity,
+)
+from gateway.api.signals import Signal
+from gateway.api.units import ZERO_CELSIUS_K
+
+Words = list[int]
+
+IDLE, PAUSED, RUNNING = 1, 2, 3  # task_state
+STILL, MOVING, HELD_BY_PROCESS = 1, 3, 5  # robot_state
+WAYPOINTS = range(60, 1060)  # robot_state: 60 + n and 560 + n
+INIT_DONE = 6  # init_state_info
+
+_SOS_TEXTS = {
+    1: "encoder (PVL)",
+    2: "CPU",
+    3: "BIG",
+    4: "input",
+    5: "JAM",
+    6: "over-current",
+    7: "position bound",
+    8: "mode",
+    9: "match",
+    10: "over-current or low voltage",
+    11: "temperature",
+    12: "over-speed",
+}
+_KINEMATIC_TEXTS = {1: "arm stretch", 2: "Cartesian limit", 3: "joint limit", 4: "unsolvable"}
+_SOFT_LIMITS = {2, 3}
+_JOINT_TEXTS = {
+    "enc_nonius_err": "encoder: Nonius error",
+    "enc_low_battery": "encoder: low battery",
+    "enc_multiturn_err": "encoder: multi-turn error",
+    "err_jam": "JAM error",
+    "err_cur": "CUR error (over-current)",
+    "err_big": "BIG error",
+    "err_inp": "INP error (input)",
+    "err_flt": "FLT error",
+    "err_tmp": "TMP error (temperature)",
+    "err_ps1": "PS1 error",
+    "err_ps2": "PS2 error",
+}
+_JOINT_FLAGS = tuple(f"jnt_info.{name}" for name in _JOINT_TEXTS)
+_ESTOPS = ("information_chunk_1.estop_1", "information_chunk_1.estop_2")
+_SOS = "op_stat_sos_flag.sos_code"
+_KINEMATIC = "op_stat_ems_flag.ems_code"
+_OUT_COLLISION = "op_stat_collision_occur.out_collision"
+_SELF_COLLISION = "op_stat_self_collision.self_collision"
+_PAUSE = "op_stat_soft_estop_occur"
+_SAFETY_INPUTS = (
+    "information_chunk_2.config_di_16",
+    "information_chunk_3.config_di_17",
+    "information_chunk_3.safety_ems2_pressed",
+    "information_chunk_3.safety_prs_pressed",
+    "information_chunk_3.safety_hss_pressed",
+    "information_chunk_3.safety_sss_pressed",
+)
+
+
+def is_one(value: int) -> bool | None:
+    """A word of which only 0 and 1 are documented."""
+    return {0: False, 1: True}.get(value)
+
+
+def set_or_unknown(bit: int) -> bool | None:
+    """A bit that only v6.10 describes: an older box may leave it 0."""
+    return True if bit else None
+
+
+def pressed(estop_1: int, estop_2: int, estop_polarity: str | None) -> bool | None:
+    """Whether an emergency stop is pressed, on either channel; unknown until the polarity is configured."""
+    if estop_polarity is None:
+        return None
+    level = 0 if estop_polarity == "active_low" else 1
+    return level in {estop_1, estop_2}
+
+
+def power(init_stage: int, arm_power: int) -> Power:
+    """How far the arm is powered up, from its activation stage and the power at the arm."""
+    if not arm_power:
+        return Power.OFF
+    if init_stage == 0:
+        return Power.POWERED
+    if init_stage == INIT_DONE:
+        return Power.ENABLED
+    return Power.BOOTING if init_stage < INIT_DONE else Power.UNKNOWN
+
+
+def motion(robot_state: int, freedrive: int, pause: int) -> Motion:
+    """What the arm is doing. `op_stat_soft_estop_occur` means paused: it is no emergency stop."""
+    if freedrive:
+        return Motion.HAND_GUIDING
+    if robot_state == STILL:
+        return Motion.STANDSTILL
+    if robot_state in {MOVING, HELD_BY_PROCESS} or robot_state in WAYPOINTS:
+        return Motion.HOLD if pause else Motion.MOVING
+    return Motion.UNKNOWN
+
+
+def in_motion(robot_state: int, freedrive: int, pause: int) -> bool | None:
+    """Whether the arm moves under command; a hand-guided or force-controlled arm may or may not."""
+    if freedrive or robot_state == HELD_BY_PROCESS:
+        return None
+    return {Motion.STANDSTILL: False, Motion.HOLD: False, Motion.MOVING: True}.get(motion(robot_state, 0, pause))
+
+
+def program_state(task_state: int, pause: int) -> ProgramState:
+    """What the program is doing. An idle controller does not say whether a program is loaded."""
+    if task_state == RUNNING and pause:
+        return ProgramState.PAUSED
+    known = {IDLE: ProgramState.STOPPED, PAUSED: ProgramState.PAUSED, RUNNING: ProgramState.RUNNING}
+    return known.get(task_state, ProgramState.UNKNOWN)
+
+
+def all_set(flags: Words) -> bool:
+    """Whether a flag is set at every joint."""
+    return all(flags)
+
+
+def faults(sos: int, kinematic: int, init_error: int, *joints: Words) -> list[Fault]:
+    """Every fault that the frame shows, with the manual's codes and words."""
+    found = []
+    if sos:
+        found.append(Fault("sos", main=sos, severity=Severity.ERROR, text=_SOS_TEXTS.get(sos)))
+    if kinematic:
+        text = _KINEMATIC_TEXTS.get(kinematic)
+        found.append(Fault("kinematic_stop", main=kinematic, severity=Severity.ERROR, text=text))
+    if init_error:
+        found.append(Fault("init_error", main=init_error, severity=Severity.ERROR))
+    for code, flags in zip(_JOINT_TEXTS, joints, strict=True):
+        found += [
+            Fault(code, severity=Severity.ERROR, text=_JOINT_TEXTS[code], joint=joint)
+            for joint, flag in enumerate(flags)
+            if flag
+        ]
+    return found
+
+
+def in_error(sos: int, kinematic: int, init_error: int, *joints: Words) -> bool:
+    """Whether the frame shows any fault."""
+    return bool(sos or kinematic or init_error) or any(any(flags) for flags in joints)
+
+
+def safety_state(
+    estop_1: int,
+    estop_2: int,
+    sos: int,
+    out_collision: int,
+    self_collision: int,
+    estop_polarity: str | None,
+) -> SafetyState | None:
+    """The overall state. NORMAL needs to know that no emergency stop is pressed: without its polarity it is null."""
+    e_stopped = pressed(estop_1, estop_2, estop_polarity)
+    if e_stopped:
+        return SafetyState.EMERGENCY_STOP
+    if sos:
+        return SafetyState.FAULT
+    if out_collision or self_collision:
+        return SafetyState.PROTECTIVE_STOP
+    return None if e_stopped is None else SafetyState.NORMAL
+
+
+def safety_functions(
+    estop_1: int,
+    estop_2: int,
+    *inputs: int | None,
+    estop_polarity: str | None,
+) -> list[SafetyFunction]:
+    """The safety inputs with their raw bits; `active` only where its meaning is established."""
+    found = [
+        SafetyFunction(name, FunctionKind.ESTOP, active=pressed(bit, bit, estop_polarity), raw=bit)
+        for name, bit in (("estop_1", estop_1), ("estop_2", estop_2))
+    ]
+    for source, bit in zip(_SAFETY_INPUTS, inputs, strict=True):
+        name = source.partition(".")[2]
+        kind = FunctionKind.ESTOP if name == "safety_ems2_pressed" else None
+        active = set_or_unknown(bit) if bit is not None and name.endswith("_pressed") else None
+        found.append(SafetyFunction(name, kind, active=active, raw=bit))
+    return found
+
+
+def soft_limit(kinematic: int) -> bool:
+    """Whether a Cartesian or joint limit stopped the arm: a kinematic stop, not an emergency stop."""
+    return kinematic in _SOFT_LIMITS
+
+
+def halved_temperature(half: int) -> float | None:
+    """The cabinet's temperatures are stored halved, in degC; 0 on a box that does not fill them."""
+    return half * 2 + ZERO_CELSIUS_K if half else None
+
+
+def hundredths(value: int) -> float:
+    """A value times 100."""
+    return value / 100
+
+
+def tenths(value: int) -> float:
+    """A value times 10."""
+    return value / 10
+
+
+def nonzero_vector(*components: float) -> list[float] | None:
+    """Force and torque: six exact zeros are a box without a sensor."""
+    return list(components[:3]) if any(components) else None
+
+
+def external_joints(angles: list[float], external_joints: int) -> list[float] | None:
+    """The configured number of external joints, deg to rad; the frame always has room for six."""
+    return [angle * 0.017453292519943295 for angle in angles[:external_joints]] or None
+
+
+_FORCE = ("eft_fx", "eft_fy", "eft_fz")
+_TORQUE = ("eft_mx", "eft_my", "eft_mz")
+
+SIGNALS = (
+    Signal("joints.position", "jnt_ang"),
+    Signal("joints.target_position", "jnt_ref"),
+    Signal("joints.current", "jnt_cur"),
+    Signal("joints.temperature", "jnt_temperature"),
+    Signal("joints.external_target_position", "aa_joint_ref", external_joints, options=("external_joints",)),
+    # The controller sends tcp_ref a second time as tcp_pos.
+    Signal("tcp.pose", "tcp_pos", rotation="rpy_fixed_xyz", quality=Quality.SUBSTITUTED),
+    Signal("tcp.target_pose", "tcp_ref", rotation="rpy_fixed_xyz"),
+    Signal("wrench.force", _FORCE + _TORQUE, nonzero_vector),
+    Signal("wrench.torque", _TORQUE + _FORCE, nonzero_vector),
+    Signal("io.digital_in.box", "digital_in"),
+    Signal("io.digital_in.tool", ("tfb_digital_in.tfb_di", *(f"information_chunk_4.tfb_di_{n}" for n in range(2, 6)))),
+    Signal("io.digital_in.ext1", tuple(f"extend_io1_digital_info.ext_di_{n}" for n in range(16))),
+    Signal("io.digital_out.box", "digital_out"),
+    Signal("io.digital_out.tool", "tfb_digital_out.tfb_do"),
+    Signal("io.digital_out.ext1", tuple(f"extend_io1_digital_info.ext_do_{n}" for n in range(16))),
+    Signal("analog.analog_in.box", "analog_in"),
+    Signal("analog.analog_in.tool", "tfb_analog_in"),
+    Signal("analog.analog_in.ext1", "extend_io1_analog_in"),
+    Signal("analog.analog_out.box", "analog_out"),
+    Signal("analog.analog_out.ext1", "extend_io1_analog_out"),
+    Signal("status.power", ("init_state_info.init_stage", "information_chunk_1.arm_power"), power),
+    Signal("status.motion", ("robot_state", "is_freedrive_mode.freedrive", _PAUSE), motion),
+    Signal("status.program.state", ("task_state", _PAUSE), program_state),
+    Signal("status.program.run_time", "task_run_time", volatile=True),
+    Signal("status.speed_override", "default_speed"),
+    Signal("status.simulation", "real_vs_simulation_mode.simulation", is_one),
+    Signal("status.drives_powered", "jnt_info.fet", all_set),
+    Signal("status.in_motion", ("robot_state", "is_freedrive_mode.freedrive", _PAUSE), in_motion),
+    Signal("status.in_error", (_SOS, _KINEMATIC, "init_error.init_error_code", *_JOINT_FLAGS), in_error),
+    Signal("status.e_stopped", _ESTOPS, pressed, options=("estop_polarity",)),
+    Signal("status.tool_id", "information_chunk_4.tool_list_index"),
+    Signal("status.faults", (_SOS, _KINEMATIC, "init_error.init_error_code", *_JOINT_FLAGS), faults),
+    Signal(
+        "safety.state",
+        (*_ESTOPS, _SOS, _OUT_COLLISION, _SELF_COLLISION),
+        safety_state,
+        options=("estop_polarity",),
+    ),
+    Signal(
+        "safety.functions",
+        (*_ESTOPS, *_SAFETY_INPUTS),
+        safety_functions,
+        partial=True,
+        options=("estop_polarity",),
+    ),
+    Signal("safety.collision", _OUT_COLLISION),
+    Signal("safety.self_collision", _SELF_COLLISION),
+    Signal("safety.collision_detection", "collision_detect_onoff", is_one),
+    Signal("safety.soft_limit", _KINEMATIC, soft_limit),
+    # That the temperatures are halved rests on the wording of the manual and one capture.
+    Signal(
+        "controller.cpu_temperature", "information_chunk_1.cpu_temp_half", halved_temperature, quality=Quality.UNCERTAIN
+    ),
+    Signal(
+        "controller.board_temperature",
+        "information_chunk_1.board_temp_half",
+        halved_temperature,
+        quality=Quality.UNCERTAIN,
+    ),
+    Signal("controller.supplies.48v_in", "information_chunk_1.box_48v_in"),
+    Signal("controller.supplies.48v_out", "information_chunk_1.box_48v_out"),
+    Signal("controller.supplies.24v_in", "information_chunk_1.box_24v_in"),
+    Signal("controller.tool_voltage", "tfb_voltage_out"),
+    Signal("controller.fieldbuses.profinet", "information_chunk_1.profinet_active", set_or_unknown),
+    Signal("controller.fieldbuses.ethernet_ip", "information_chunk_1.ethernet_ip_active", set_or_unknown),
+    Signal("controller.welder.target_voltage", "information_chunk_2.target_weld_voltage_x100", hundredths),
+    Signal("controller.welder.target_current", "information_chunk_4.target_weld_current_x10", tenths),
+    Signal("controller.welder.arc", "information_chunk_4.arc_light"),
+    Signal("controller.welder.inhibited", "information_chunk_4.no_arc"),
+)
