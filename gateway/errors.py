@@ -3,6 +3,7 @@
     GatewayError
     ├── ConfigError          the configuration cannot be used: exit code 78
     ├── VendorError          a plugin is broken: its robots are off, the others run
+    │   └── UnknownVendor    there is no plugin of that name: in a configuration that is an error
     └── LinkError            a link failed: it is retried
         ├── LinkClosed       the connection could not be opened, or has ended
         ├── LinkStale        no good frame within `stale_s`
@@ -12,6 +13,11 @@ Errors carry attributes, not prose to parse. Misuse of a function raises `ValueE
 """
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 
 class GatewayError(Exception):
@@ -42,6 +48,18 @@ class VendorError(GatewayError):
         super().__init__(f"vendor {vendor}: {reason}")
         self.vendor = vendor
         self.reason = reason
+
+
+class UnknownVendor(VendorError):
+    """There is no plugin of that name.
+
+    Attributes:
+        nearest: The names most like it, best first.
+    """
+
+    def __init__(self, vendor: str, reason: str, nearest: Sequence[str] = ()) -> None:
+        super().__init__(vendor, reason)
+        self.nearest = tuple(nearest)
 
 
 class LinkError(GatewayError):

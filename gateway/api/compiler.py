@@ -35,12 +35,14 @@ class Reader:
         key: The bits that the group's discrete values follow from: while they stay equal, a state topic has nothing new.
         quality: The worst quality that the rows themselves state.
         empty: The group with every leaf null.
+        volatile: Paths of the leaves that always change.
     """
 
     read: Read
     key: ReadKey
     quality: model.Quality
     empty: object
+    volatile: tuple[tuple[str, ...], ...] = ()
 
 
 def compile_group(
@@ -80,6 +82,7 @@ def compile_group(
         key=_compile_key(layout, [source for row in rows if not row.volatile for source in row.sources]),
         quality=model.worst(model.Quality.GOOD, *(row.quality for row in present)),
         empty=struct_type(),
+        volatile=tuple(row.path for row in rows if row.volatile),
     )
 
 
@@ -384,7 +387,8 @@ def _compile_key(layout: Layout, sources: Iterable[str]) -> ReadKey:
         whole = (1 << 8 * field.item_size) - 1
         masks[field.name] = masks.get(field.name, 0) | (whole if flag is None else flag.mask << flag.bit)
     fields = [field for field in layout.fields if field.name in masks and field.present]
-    refs, parts = [], []
+    refs: list[str] = []
+    parts: list[str] = []
     for field in fields:
         whole = (1 << 8 * field.item_size) - 1
         for _ in range(field.present):

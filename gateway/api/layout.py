@@ -199,6 +199,8 @@ class Layout:
             if not isinstance(items, Sequence) or len(items) != field.elements:
                 raise ValueError(f"layout {self.name}: {name} takes {field.elements} values, not {value!r}")
             words = [_word(field, item) for item in items[: field.present]]
+            if not words:
+                continue  # cut off: it may stand behind the payload
             try:
                 struct.pack_into(self._code(field), payload, field.offset, *words)
             except (struct.error, TypeError) as error:

@@ -143,11 +143,7 @@ class Severity(StrEnum):
     FATAL = "FATAL"
 
 
-class Struct(msgspec.Struct, frozen=True):
-    """Base of the model's structs."""
-
-
-class Pose(Struct):
+class Pose(msgspec.Struct, frozen=True):
     """A pose of one reference in another."""
 
     position: Annotated[Array | None, _in("m", "x, y, z; shape (3,).")] = None
@@ -157,7 +153,7 @@ class Pose(Struct):
     ] = None
 
 
-class Joints(Struct):
+class Joints(msgspec.Struct, frozen=True):
     """Joint values, base to flange; an array is null where the source has no such value."""
 
     position: Annotated[Array | None, _in("rad", "Measured position.")] = None
@@ -175,7 +171,7 @@ class Joints(Struct):
     external_target_position: Annotated[Array | None, _in("rad", "Commanded position of the external axes.")] = None
 
 
-class Tcp(Struct):
+class Tcp(msgspec.Struct, frozen=True):
     """Tool centre point, in the base reference."""
 
     pose: Annotated[Pose | None, _is("Pose of the tool centre point.")] = None
@@ -190,7 +186,7 @@ class Tcp(Struct):
     substituted: Annotated[list[str], _is("Keys whose value is a commanded one, shown as measured.")] = []
 
 
-class Wrench(Struct):
+class Wrench(msgspec.Struct, frozen=True):
     """Force and torque at the tool."""
 
     force: Annotated[Array | None, _in("N", "x, y, z; shape (3,).")] = None
@@ -200,14 +196,14 @@ class Wrench(Struct):
     active: Annotated[bool | None, _is("Whether force sensing is switched on.")] = None
 
 
-class Io(Struct):
+class Io(msgspec.Struct, frozen=True):
     """Digital inputs and outputs by bank."""
 
     digital_in: Annotated[dict[str, Bits | None] | None, _is("Inputs by bank: box, tool, ext1 …")] = None
     digital_out: Annotated[dict[str, Bits | None] | None, _is("Outputs by bank: box, tool, ext1 …")] = None
 
 
-class Channels(Struct):
+class Channels(msgspec.Struct, frozen=True):
     """Analog channels of one bank: either in a unit, or raw where the manual gives no scale."""
 
     values: Annotated[Array | None, _is("Values in `unit`.")] = None
@@ -215,14 +211,14 @@ class Channels(Struct):
     raw: Annotated[Array | None, _is("Values as the controller sends them, without a known scale.")] = None
 
 
-class Analog(Struct):
+class Analog(msgspec.Struct, frozen=True):
     """Analog inputs and outputs by bank."""
 
     analog_in: Annotated[dict[str, Channels | None] | None, _is("Inputs by bank: box, tool, ext1 …")] = None
     analog_out: Annotated[dict[str, Channels | None] | None, _is("Outputs by bank: box, tool, ext1 …")] = None
 
 
-class Fault(Struct):
+class Fault(msgspec.Struct, frozen=True):
     """A fault that the controller reports. Code and text are the vendor's: the gateway invents none."""
 
     code: Annotated[str, _is("The vendor's name of the fault or of the field that carries it.")]
@@ -240,7 +236,7 @@ class Fault(Struct):
         return (self.code, self.main, self.sub, self.joint)
 
 
-class Program(Struct):
+class Program(msgspec.Struct, frozen=True):
     """The robot program."""
 
     state: Annotated[ProgramState | None, _is("What it is doing.")] = None
@@ -250,14 +246,14 @@ class Program(Struct):
     run_time: Annotated[float | None, _in("s", "Time since it started; never by itself a change of state.")] = None
 
 
-class Payload(Struct):
+class Payload(msgspec.Struct, frozen=True):
     """The load that the controller assumes."""
 
     mass: Annotated[float | None, _in("kg", "Mass.")] = None
     cog: Annotated[Array | None, _in("m", "Centre of gravity in the flange reference; shape (3,).")] = None
 
 
-class Status(Struct):
+class Status(msgspec.Struct, frozen=True):
     """What the robot is doing."""
 
     operating_mode: Annotated[OperatingMode | None, _is("Operating mode.")] = None
@@ -280,7 +276,7 @@ class Status(Struct):
     faults: Annotated[list[Fault] | None, _is("Present faults; empty: none; null: the source cannot tell.")] = None
 
 
-class SafetyFunction(Struct):
+class SafetyFunction(msgspec.Struct, frozen=True):
     """One safety function or input."""
 
     name: Annotated[str, _is("The vendor's name.")]
@@ -291,7 +287,7 @@ class SafetyFunction(Struct):
     raw: Annotated[int | None, _is("The raw bits as the controller sends them.")] = None
 
 
-class Safety(Struct):
+class Safety(msgspec.Struct, frozen=True):
     """What the controller says of its safety system. For information only; not for functional safety (IEC 61508)."""
 
     state: Annotated[SafetyState | None, _is("Overall state; null where the source cannot tell.")] = None
@@ -303,7 +299,7 @@ class Safety(Struct):
     soft_limit: Annotated[bool | None, _is("Stopped by a software limit.")] = None
 
 
-class Welder(Struct):
+class Welder(msgspec.Struct, frozen=True):
     """A welding power source."""
 
     target_voltage: Annotated[float | None, _in("V", "Commanded voltage.")] = None
@@ -312,7 +308,7 @@ class Welder(Struct):
     inhibited: Annotated[bool | None, _is("Welding without an arc is selected.")] = None
 
 
-class Gripper(Struct):
+class Gripper(msgspec.Struct, frozen=True):
     """A gripper."""
 
     position: Annotated[float | None, _in("1", "Opening, 0 to 1.")] = None
@@ -320,7 +316,7 @@ class Gripper(Struct):
     moving: Annotated[bool | None, _is("It is moving.")] = None
 
 
-class Controller(Struct):
+class Controller(msgspec.Struct, frozen=True):
     """The cabinet: what is neither joint nor safety."""
 
     cabinet_temperature: Annotated[float | None, _in("K", "Air in the cabinet.")] = None
@@ -334,7 +330,7 @@ class Controller(Struct):
     welder: Annotated[Welder | None, _is("The welding power source.")] = None
 
 
-class Link(Struct, kw_only=True):
+class Link(msgspec.Struct, frozen=True, kw_only=True):
     """The lasting association with a robot; survives reconnects."""
 
     state: Annotated[LinkState, _is("State of the link.")]
@@ -350,7 +346,7 @@ class Link(Struct, kw_only=True):
     next_attempt: Annotated[int | None, _in("µs", "When the next attempt is due, UTC since 1970.")] = None
 
 
-class LinkStats(Struct):
+class LinkStats(msgspec.Struct, frozen=True):
     """Counters of a link since the gateway started, once a second."""
 
     frames: Annotated[int, _is("Good frames.")] = 0
@@ -389,7 +385,7 @@ class EventKind(StrEnum):
     FAULT_CLEARED = "fault.cleared"
 
 
-class Event(Struct, kw_only=True):
+class Event(msgspec.Struct, frozen=True, kw_only=True):
     """An edge: something changed, and when. Lossless inside a bounded ring."""
 
     name: Annotated[str, _is("`boot:seq`: boot is new at each start of the gateway.")]

@@ -1,0 +1,46 @@
+# Everything a developer runs. The virtual environment is made by the first target that needs it.
+.DEFAULT_GOAL := help
+PYTHON ?= python3.11
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+SECONDS_OF_SOAK ?= 60
+
+.PHONY: help demo test check lint bench soak schema clean
+
+help: ## Show the targets
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*##/\t/' | expand -t 10
+
+$(STAMP): pyproject.toml packaging/constraints.txt
+	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) is missing: apt-get install python3.11 python3.11-venv, or make PYTHON=python3"; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --disable-pip-version-check --constraint packaging/constraints.txt --editable '.[dev]'
+	@touch $(STAMP)
+
+demo: $(STAMP) ## Virtual robots, the gateway on them, live data: nothing else is needed
+	@$(BIN)/robot-gateway demo
+
+test: $(STAMP) ## All tests
+	$(BIN)/pytest
+
+lint: $(STAMP) ## Format, lint, types and import rules, without the tests
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+check: lint test ## What CI runs
+
+bench: $(STAMP) ## Measure; every figure with its ratio to a baseline of the same run
+	@$(BIN)/python -m tests.bench
+
+soak: $(STAMP) ## The acceptance runs at their full length
+	SOAK_SECONDS=$(SECONDS_OF_SOAK) $(BIN)/pytest -m soak -s
+
+schema: $(STAMP) ## Write the generated files in config/ anew
+	$(BIN)/robot-gateway check --schema > config/gateway.schema.json
+	$(BIN)/python -m tests.generated
+
+clean: ## Remove everything that was made
+	rm -rf $(VENV) dist build .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .coverage
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,106 @@
+"""The composition root: from a configuration to links, bus and doors in one task group."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import dataclass
+
+import anyio
+import structlog
+
+from gateway import __version__
+from gateway.config import Config
+from gateway.core.bus import Bus
+from gateway.core.clock import Clock, SystemClock
+from gateway.core.events import EventRing
+from gateway.core.link import Link, announce_broken
+from gateway.core.settings import BrokenRobot, RobotSettings
+from gateway.core.transport import Connector, TcpClient
+from gateway.server.cell import Cell
+from gateway.server.http import listening
+
+_LOG = structlog.get_logger()
+
+
+@dataclass(frozen=True, slots=True)
+class Gateway:
+    """A running gateway.
+
+    Attributes:
+        host: Where its doors are.
+        port: Their port.
+        bus: Its topics and events.
+    """
+
+    host: str
+    port: int
+    bus: Bus
+
+    @property
+    def url(self) -> str:
+        """The native WebSocket door."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"ws://{host}:{self.port}/ws"
+
+
+def connector_of(robot: RobotSettings) -> Connector:
+    """How a robot is reached."""
+    return TcpClient(robot.host, robot.port)
+
+
+@asynccontextmanager
+async def running(config: Config, clock: Clock | None = None) -> AsyncIterator[Gateway]:
+    """Run the gateway for as long as the context lasts.
+
+    The doors are open before the first link is tried, so that a subscriber sees every event.
+
+    Args:
+        config: What to run.
+        clock: Tests give their own.
+
+    Raises:
+        ListenError: The listener could not be opened.
+    """
+    clock = clock or SystemClock()
+    bus = Bus(EventRing(config.server.event_ring))
+    links = _links(config.robots, bus, clock)
+    host, asked_port = config.server.address
+    async with AsyncExitStack() as stack:
+        cell = Cell(config.robots, bus)
+        port = await stack.enter_async_context(listening(cell, host, asked_port, config.server.flush_ms / 1000))
+        _LOG.info("gateway.started", version=__version__, listen=f"{host}:{port}", robots=len(config.robots))
+        tasks = await stack.enter_async_context(anyio.create_task_group())
+        for link in links:
+            tasks.start_soon(link.run)
+        try:
+            yield Gateway(host, port, bus)
+        finally:
+            tasks.cancel_scope.cancel()
+            _LOG.info("gateway.stopped")
+
+
+async def run_until_signal(config: Config, ready: Callable[[Gateway], None] = lambda _: None) -> None:
+    """Run the gateway until SIGINT or SIGTERM.
+
+    Args:
+        config: What to run.
+        ready: Called when the doors are open.
+    """
+    with anyio.open_signal_receiver(signal.SIGINT, signal.SIGTERM) as signals:
+        async with running(config) as gateway:
+            ready(gateway)
+            async for number in signals:
+                _LOG.info("gateway.stopping", reason=signal.Signals(number).name)
+                return
+
+
+def _links(robots: Sequence[RobotSettings | BrokenRobot], bus: Bus, clock: Clock) -> list[Link]:
+    links = []
+    for robot in robots:
+        if isinstance(robot, BrokenRobot):
+            announce_broken(robot, bus, clock)
+        else:
+            links.append(Link(robot, connector_of(robot), bus, clock))
+    return links

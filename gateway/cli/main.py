@@ -1,0 +1,93 @@
+"""The command `robot-gateway`. Commands are imported only when they are called, so that `status` starts at once."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from typing import Annotated, NoReturn, cast
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from gateway import __version__
+
+# command -> module that holds it, and its attribute: a function, or a Typer of subcommands
+_COMMANDS = {
+    "run": ("gateway.cli.run", "run"),
+    "check": ("gateway.cli.check", "check"),
+    "status": ("gateway.cli.status", "status"),
+    "tail": ("gateway.cli.tail", "tail"),
+    "vendors": ("gateway.cli.vendors", "vendors"),
+    "vendor-check": ("gateway.cli.vendor_check", "vendor_check"),
+    "simulate": ("gateway.cli.simulate", "app"),
+    "demo": ("gateway.cli.demo", "demo"),
+}
+_HELP = """Reads every robot controller in the cell and serves one honest stream.
+
+It only observes: it never moves a robot. For information only; not for functional safety (IEC 61508).
+
+\b
+Examples:
+  robot-gateway demo                      see it at work, without a robot
+  robot-gateway check gateway.toml        is the configuration right?
+  robot-gateway run --config gateway.toml
+  robot-gateway status                    which robot is on, and why not?
+  robot-gateway tail r1/joints --rate 5
+
+Exit codes: 0 success, 1 failure, 2 wrong usage, 78 wrong configuration.
+"""
+
+
+class _LazyGroup(TyperGroup):
+    """Imports a command's module when the command is asked for."""
+
+    def list_commands(self, ctx: object) -> list[str]:  # noqa: ARG002
+        return list(_COMMANDS)
+
+    def get_command(self, ctx: object, cmd_name: str) -> TyperCommand | TyperGroup | None:  # noqa: ARG002
+        if cmd_name not in _COMMANDS:
+            return None
+        module, attribute = _COMMANDS[cmd_name]
+        found = getattr(importlib.import_module(module), attribute)
+        if isinstance(found, typer.Typer):
+            command = typer.main.get_command(found)
+        else:
+            single = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+            single.command(name=cmd_name)(found)
+            command = typer.main.get_command(single)
+        command.name = cmd_name
+        return cast("TyperCommand | TyperGroup", command)
+
+
+app = typer.Typer(
+    cls=_LazyGroup,
+    help=_HELP,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+@app.callback()
+def main(
+    *,
+    version: Annotated[bool, typer.Option("--version", help="Print the version and end.")] = False,
+) -> None:
+    """Hold the options that come before the command."""
+    if version:
+        typer.echo(f"robot-gateway {__version__}")
+        raise typer.Exit
+
+
+def run() -> NoReturn:
+    """Run the command line; a pipe that closes early (`| head`) is no error."""
+    try:
+        app()
+    except BrokenPipeError:
+        sys.stderr.close()
+        sys.exit(0)
+    except KeyboardInterrupt:
+        sys.exit(130)
+    sys.exit(0)

@@ -1,0 +1,93 @@
+"""`robot-gateway status`: which robot is on, what it does, and why not."""
+
+from __future__ import annotations
+
+import sys
+import time
+from functools import partial
+from typing import Annotated
+
+import anyio
+import msgspec
+import typer
+from rich.console import Console, RenderableType
+from rich.live import Live
+from rich.text import Text
+
+from gateway.api.messages import RobotInfo
+from gateway.api.model import Sample
+from gateway.cli.common import DEFAULT_URL, Url, call
+from gateway.cli.view import robots_table
+from gateway.client import Client, ClientError, connect
+
+_WATCH_S = 0.5
+_RETRY_S = 1.0
+
+
+def status(
+    url: Url = DEFAULT_URL,
+    *,
+    watch: Annotated[bool, typer.Option("--watch", "-w", help="Keep showing it until Ctrl-C.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON, for programs.")] = False,
+) -> None:
+    """Show every robot of a running gateway: link, rate, power, motion, program and safety.
+
+    A dash means: this robot cannot tell. Exit code 1: no gateway answers.
+
+    \b
+    Examples:
+      robot-gateway status
+      robot-gateway status --watch
+      robot-gateway status --json | jq '.[] | select(.link.state != "ONLINE") | .name'
+    """
+    if watch:
+        call(partial(_watch, url))
+    else:
+        call(partial(_once, url, as_json=as_json))
+
+
+async def _once(url: str, *, as_json: bool) -> None:
+    async with connect(url) as client:
+        robots, latest = await _ask(client)
+    if as_json:
+        shown = [
+            {
+                **msgspec.to_builtins(robot),
+                "status": _data(latest, robot.name, "status"),
+                "safety": _data(latest, robot.name, "safety"),
+            }
+            for robot in robots
+        ]
+        sys.stdout.write(msgspec.json.format(msgspec.json.encode(shown), indent=2).decode() + "\n")
+        return
+    Console(highlight=False).print(_table(robots, latest))
+
+
+async def _watch(url: str) -> None:
+    """Show it again and again; a gateway that goes away is waited for."""
+    with Live(Text("connecting …"), auto_refresh=False, console=Console(highlight=False)) as live:
+        while True:
+            try:
+                async with connect(url) as client:
+                    while True:
+                        live.update(_table(*await _ask(client)), refresh=True)
+                        await anyio.sleep(_WATCH_S)
+            except ClientError as error:
+                live.update(Text(f"{error} – trying again", style="red"), refresh=True)
+                await anyio.sleep(_RETRY_S)
+
+
+async def _ask(client: Client) -> tuple[list[RobotInfo], dict[str, Sample]]:
+    robots = await client.robots()
+    wanted = [f"{robot.name}/{group}" for robot in robots for group in ("status", "safety") if group in robot.groups]
+    latest = await client.get(wanted) if wanted else []
+    return robots, {sample.topic: sample for sample in latest}
+
+
+def _table(robots: list[RobotInfo], latest: dict[str, Sample]) -> RenderableType:
+    return robots_table(robots, latest, time.time_ns() // 1000)
+
+
+def _data(latest: dict[str, Sample], robot: str, group: str) -> object:
+    sample = latest.get(f"{robot}/{group}")
+    return None if sample is None else sample.data

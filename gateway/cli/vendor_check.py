@@ -1,0 +1,76 @@
+"""`robot-gateway vendor-check`: runs the conformance suite over one plugin, for its author."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import anyio
+import typer
+from rich.console import Console
+from rich.text import Text
+
+from gateway.cli.common import fail
+from gateway.core.registry import Registry
+from gateway.errors import ConfigError, UnknownVendor, VendorError
+from gateway.testing.conformance import CHECKS, Outcome, run, subjects
+from gateway.testing.subject import Subject
+
+EX_CONFIG = 78
+USAGE = 2
+FAILURE = 1
+
+_COLOURS = {"passed": "green", "exempt": "yellow", "failed": "red"}
+_WIDTH = max(len(check.name) for check in CHECKS)
+_LINE = 78
+
+
+def vendor_check(
+    name: Annotated[str, typer.Argument(help="Name of the plugin, which is its folder's.", metavar="NAME")],
+    *,
+    vendor_dir: Annotated[
+        list[Path] | None,
+        typer.Option("--vendor-dir", help="A folder of further plugins; may be given several times.", metavar="DIR"),
+    ] = None,
+) -> None:
+    """Check a vendor's plugin: tables, vectors, framing, damage, polling, units, speed and its virtual controller.
+
+    Each check says what is wrong and what to do. A check is left out only by the plugin itself, with the reason, in
+    Vendor(exempt={"check": "reason"}).
+
+    Exit codes: 0 all passed or exempt; 1 a check failed, or the plugin cannot be loaded; 2 no such plugin; 78 a folder
+    of plugins may not be used.
+
+    Example: robot-gateway vendor-check rainbow
+
+    Example: robot-gateway vendor-check kilo --vendor-dir ./my-vendors
+    """
+    try:
+        found = subjects(Registry(vendor_dir or ()), name)
+    except ConfigError as error:
+        fail(str(error), EX_CONFIG)
+    except UnknownVendor as error:
+        fail(str(error), USAGE)
+    except VendorError as error:
+        fail(str(error), FAILURE)
+    outcomes = anyio.run(_report, found)
+    counts = {result: sum(outcome.result == result for outcome in outcomes) for result in _COLOURS}
+    typer.echo(", ".join(f"{count} {result}" for result, count in counts.items()))
+    if counts["failed"]:
+        raise typer.Exit(FAILURE)
+
+
+async def _report(found: Sequence[Subject]) -> list[Outcome]:
+    """Run the suite and print each result as it comes."""
+    console = Console(highlight=False, soft_wrap=True)
+    outcomes: list[Outcome] = []
+    async for outcome in run(found):
+        if not outcomes or outcomes[-1].subject is not outcome.subject:
+            console.print(Text(f"{outcome.subject.vendor.title}, protocol {outcome.subject.protocol.name}", "bold"))
+        console.print(Text.assemble(f"  {outcome.check.name:{_WIDTH}}  ", (outcome.result, _COLOURS[outcome.result])))
+        for line in textwrap.wrap(outcome.message, _LINE - 6, break_on_hyphens=False):
+            console.print(Text(f"      {line}"))
+        outcomes.append(outcome)
+    return outcomes

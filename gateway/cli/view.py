@@ -1,0 +1,213 @@
+"""How robots and samples look in a terminal: plain words, units, and a dash for what is not known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from datetime import UTC, datetime
+
+from rich import box
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from gateway.api.messages import RobotInfo
+from gateway.api.model import Event, LinkState, Sample
+
+UNKNOWN = "–"
+_GOOD = "green"
+_COLOURS = {
+    "ONLINE": _GOOD,
+    "NORMAL": _GOOD,
+    "ENABLED": _GOOD,
+    "CONNECTING": "yellow",
+    "HANDSHAKING": "yellow",
+    "STALE": "yellow",
+    "DISCONNECTED": "red",
+    "INCOMPATIBLE": "red",
+    "REFUSED": "red",
+    "FAULTED": "red",
+    "PROTECTIVE_STOP": "yellow",
+    "EMERGENCY_STOP": "bold red",
+    "FAULT": "red",
+}
+_SECONDS = ((86_400, "d"), (3_600, "h"), (60, "min"))
+_LIVE = {"GOOD", "SUBSTITUTED", "UNCERTAIN", "BAD"}
+
+
+def duration(seconds: float) -> str:
+    """A duration in the largest unit that fits: `42 s`, `3 min`, `2 d`."""
+    for size, unit in _SECONDS:
+        if seconds >= size:
+            return f"{seconds / size:.0f} {unit}"
+    return f"{max(0.0, seconds):.0f} s"
+
+
+def clock_time(t: int) -> str:
+    """A time of day, local, of µs UTC since 1970."""
+    return datetime.fromtimestamp(t / 1e6, tz=UTC).astimezone().strftime("%H:%M:%S.%f")[:-3]
+
+
+def coloured(word: str | None) -> Text:
+    """A state with its colour; a dash where it is not known."""
+    return Text(UNKNOWN, style="dim") if word is None else Text(word, style=_COLOURS.get(word, ""))
+
+
+def robots_table(robots: Iterable[RobotInfo], latest: Mapping[str, Sample], now_us: int) -> RenderableType:
+    """The cell at a glance: a row a robot, and below it a line for each link that is not online.
+
+    Args:
+        robots: As the gateway tells them.
+        latest: The status and safety samples by topic.
+        now_us: Now, µs UTC.
+    """
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1))
+    for heading in ("robot", "speaks", "link", "for", "Hz", "power", "motion", "program", "safety"):
+        table.add_column(heading, no_wrap=True, justify="right" if heading in {"for", "Hz"} else "left")
+    reasons: list[RenderableType] = []
+    for robot in robots:
+        link = robot.link
+        status = _data(latest.get(f"{robot.name}/status"))
+        table.add_row(
+            robot.name,
+            robot.vendor,
+            coloured(link.state.value),
+            duration((now_us - link.since) / 1e6),
+            f"{link.reached_hz:.0f}" if link.reached_hz is not None else UNKNOWN,
+            coloured(_word(status, "power")),
+            coloured(_word(status, "motion")),
+            coloured(_word(status, "program", "state")),
+            coloured(_word(_data(latest.get(f"{robot.name}/safety")), "state")),
+        )
+        if link.state is not LinkState.ONLINE:
+            reasons.append(Text.assemble((f"{robot.name}: ", "bold"), link_reason(robot, now_us)))
+    if not table.rows:
+        return Text("no robots are configured")
+    return Group(table, *reasons)
+
+
+def link_reason(robot: RobotInfo, now_us: int) -> str:
+    """Why a link is not online, and what comes next."""
+    link = robot.link
+    parts = [link.reason or link.state.value.lower()]
+    if link.last_error and link.last_error != link.reason:
+        parts.append(f"before that: {link.last_error}")
+    if link.attempts:
+        parts.append(f"attempt {link.attempts}")
+    if link.next_attempt is not None:
+        parts.append(f"next one in {max(0.0, (link.next_attempt - now_us) / 1e6):.1f} s")
+    if robot.reject_counts:
+        parts.append("rejected: " + ", ".join(f"{count} {reason}" for reason, count in robot.reject_counts.items()))
+    return "; ".join(parts)
+
+
+def sample_lines(sample: Sample, units: Mapping[str, str]) -> Iterator[str]:
+    """A sample as lines of at most about 80 characters: only what is known, with its unit.
+
+    Args:
+        sample: Of any topic.
+        units: Unit by dotted path.
+    """
+    head = f"{clock_time(sample.t)}  {sample.topic}"
+    if sample.q != "GOOD":
+        head += f"  {sample.q}"
+    leaves = [(key, value) for key, value in _leaves(sample.data) if value is not None and value != []]
+    if not leaves:
+        since = f", last frame at {clock_time(sample.t_last)}" if sample.t_last else ""
+        yield f"{head}  no values{since}" if sample.q not in _LIVE else f"{head}  nothing known"
+        return
+    if len(leaves) == 1:
+        yield f"{head}  {_leaf_text(*leaves[0], units, width=0)}"
+        return
+    yield head
+    width = max(len(key) for key, _ in leaves)
+    for key, value in leaves:
+        yield f"  {_leaf_text(key, value, units, width)}"
+
+
+def event_line(event: Event) -> str:
+    """An event in one line."""
+    change = "" if event.before is None and event.after is None else f"  {_short(event.before)} → {_short(event.after)}"
+    return f"{clock_time(event.t)}  {event.robot}  {event.kind}{change}"
+
+
+def flat(data: object) -> dict[str, object]:
+    """All leaves by dotted path, arrays by index: for tables of numbers."""
+    found: dict[str, object] = {}
+    for key, value in _leaves(data):
+        if isinstance(value, list):
+            found.update({f"{key}.{index}": item for index, item in enumerate(value)})
+        else:
+            found[key] = value
+    return found
+
+
+def _leaves(data: object, path: str = "") -> Iterator[tuple[str, object]]:
+    if isinstance(data, dict):
+        for key, value in data.items():
+            yield from _leaves(value, f"{path}.{key}" if path else key)
+    elif isinstance(data, list) and any(isinstance(item, dict) for item in data):
+        for index, item in enumerate(data):
+            yield from _leaves(item, f"{path}.{index}")
+    else:
+        yield path, data
+
+
+def _leaf_text(key: str, value: object, units: Mapping[str, str], width: int) -> str:
+    unit = units.get(key, "")
+    shown = "  ".join(_number(item) for item in value) if isinstance(value, list) else _number(value).strip()
+    return f"{key:<{width}}  {shown}{f'  {unit}' if unit and unit != '1' else ''}"
+
+
+def _number(value: object) -> str:
+    if value is None:
+        return UNKNOWN
+    if isinstance(value, bool):
+        return "1" if value else "0"
+    if isinstance(value, float):
+        return f"{value:8.4f}"
+    return str(value)
+
+
+def _short(value: object) -> str:
+    """A value of an event; a fault by its code and words."""
+    if value is None:
+        return UNKNOWN
+    if isinstance(value, dict) and "code" in value:
+        joint = "" if value.get("joint") is None else f" at joint {value['joint']}"
+        number = "" if value.get("main") is None else f" {value['main']}"
+        text = f" ({value['text']})" if value.get("text") else ""
+        return f"{value['code']}{number}{joint}{text}"
+    return str(value)
+
+
+def _data(sample: Sample | None) -> Mapping[str, object]:
+    return sample.data if sample is not None and isinstance(sample.data, dict) else {}
+
+
+def _word(data: Mapping[str, object], *path: str) -> str | None:
+    at: object = data
+    for name in path:
+        at = at.get(name) if isinstance(at, Mapping) else None
+    return at if isinstance(at, str) else None
+
+
+def units_of(schema: Mapping[str, object]) -> dict[str, str]:
+    """Units by dotted path, out of the JSON Schema that `describe` gives."""
+    definitions = schema.get("$defs", {})
+    return dict(_units(schema, definitions if isinstance(definitions, dict) else {}, ""))
+
+
+def _units(schema: object, definitions: Mapping[str, object], path: str) -> Iterator[tuple[str, str]]:
+    if not isinstance(schema, dict):
+        return
+    reference = schema.get("$ref")
+    if isinstance(reference, str):
+        yield from _units(definitions.get(reference.rpartition("/")[2]), definitions, path)
+    unit = schema.get("unit")
+    if path and isinstance(unit, str):
+        yield path, unit
+    for name, below in (schema.get("properties") or {}).items():
+        yield from _units(below, definitions, f"{path}.{name}" if path else name)
+    choices: Sequence[object] = schema.get("anyOf") or []
+    for choice in choices:
+        yield from _units(choice, definitions, path)

@@ -1,0 +1,118 @@
+"""The keys of the configuration file: their types, limits and defaults, as msgspec structs."""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from gateway.config_problems import quoted
+from gateway.core.settings import EstopPolarity
+
+TOP_KEYS = ("vendor_dirs", "server", "robots")
+STALE_PERIODS = 5  # a link is not called stale before this many answers are missing
+STALE_LEAST_S = 0.02
+
+Name = Annotated[
+    str,
+    Meta(
+        pattern=r"^[a-z0-9_-]{1,32}(?!\n)$",
+        description="The first part of every topic of the robot.",
+        extra={"says": "a name of 1 to 32 characters a-z, 0-9, _ and -, in quotes"},
+    ),
+]
+
+
+class Server(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The table `[server]`: the one listener and what it sends."""
+
+    listen: Annotated[
+        str, Meta(description="Address and port of the listener. Only this machine: 127.0.0.1, [::1] or localhost.")
+    ] = "127.0.0.1:8765"
+    flush_ms: Annotated[
+        float,
+        Meta(ge=0, le=1000, description="How long samples are gathered into one message; 0: one turn of the loop."),
+    ] = 2.0
+    event_ring: Annotated[
+        int, Meta(ge=1, le=10_000_000, description="How many events are kept for subscribers that come back.")
+    ] = 10_000
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Host and port of `listen`.
+
+        Raises:
+            ValueError: It is not written as host:port.
+        """
+        return split_listen(self.listen)
+
+
+class RobotTable(msgspec.Struct, frozen=True, kw_only=True):
+    """One table `[[robots]]`; the options of its protocol stand in a table of the protocol's name below it."""
+
+    name: Name
+    vendor: Annotated[str, Meta(description="The plugin that reads the controller.")]
+    protocol: Annotated[str | None, Meta(description="What is spoken with the controller.")] = None
+    host: Annotated[str, Meta(description="Address or name of the controller, without the port.")]
+    port: Annotated[int, Meta(ge=1, le=65535, description="Port of the controller.")] | None = None
+    rate_hz: (
+        Annotated[float, Meta(ge=0.001, description="How often a polled controller is asked for its state.")] | None
+    ) = None
+    stale_s: (
+        Annotated[
+            float,
+            Meta(ge=STALE_LEAST_S, le=86400, description="Time without a good frame after which the link is stale."),
+        ]
+        | None
+    ) = None
+    estop_polarity: Annotated[
+        EstopPolarity | None,
+        Meta(description="Level of the input while the emergency stop is pressed. Not set: e_stopped stays null."),
+    ] = None
+
+
+def split_listen(listen: str) -> tuple[str, int]:
+    """Split `host:port` or `[host]:port`.
+
+    Raises:
+        ValueError: It is written otherwise; the text says what is wrong.
+    """
+    match = re.fullmatch(r"(?:\[([^\[\]]+)\]|([^:\[\]]+)):([0-9]{1,5})", listen, re.ASCII)
+    if match is None:
+        brackets = '; an IPv6 address stands in brackets: "[::1]:8765"' if listen.count(":") > 1 else ""
+        raise ValueError(f'{quoted(listen)} is not an address and a port like "127.0.0.1:8765"{brackets}')
+    host, port = match[1] or match[2], int(match[3])
+    if port > 65535:  # noqa: PLR2004  ports have 16 bits
+        raise ValueError(f"{port} is no port: the highest is 65535")
+    if match[1]:
+        try:
+            ipaddress.IPv6Address(host)
+        except ValueError:
+            raise ValueError(f"{quoted(host)} is no IPv6 address") from None
+    elif fault := host_fault(host):
+        raise ValueError(fault)
+    return host, port
+
+
+def host_fault(host: str) -> str | None:
+    """Say why a text is no IPv4 address, IPv6 address or host name; None if it is one."""
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        pass
+    else:
+        return None
+    if "://" in host or "/" in host:
+        return f"{quoted(host)} is no host: give the name or address alone"
+    if host.startswith("["):
+        return f"{quoted(host)} is no host: here an IPv6 address stands without brackets"
+    if re.fullmatch(r"[^:]+:[0-9]+", host):
+        return f"{quoted(host)} is no host: the port stands under its own key, port"
+    if re.fullmatch(r"[0-9.]+", host):
+        return f"{quoted(host)} is no IPv4 address"
+    if len(host) > 253 or not re.fullmatch(r"(?!-)[\w-]{1,63}(\.[\w-]{1,63})*\.?", host, re.ASCII):  # noqa: PLR2004  DNS
+        return f"{quoted(host)} is neither an IP address nor a host name"
+    return None

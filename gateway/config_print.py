@@ -1,0 +1,168 @@
+"""Prints a configuration back with every default filled in, and the JSON Schema of the file."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from gateway.config_keys import RobotTable, Server
+from gateway.core.settings import RobotSettings
+from gateway.errors import VendorError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from gateway.api.vendor import Protocol, Vendor
+    from gateway.config import Config
+    from gateway.core.registry import Registry
+    from gateway.core.settings import BrokenRobot
+
+Schema = dict[str, object]
+
+DRAFT = "https://json-schema.org/draft/2020-12/schema"
+TITLE = "Configuration of robot-gateway"
+_REFERENCE = "#/$defs/{name}"
+
+
+def as_toml(config: Config) -> str:
+    """The configuration as understood, in TOML that means the same."""
+    lines = [f"vendor_dirs = {_value([str(path) for path in config.vendor_dirs])}", "", "[server]"]
+    lines += [f"{key} = {_value(value)}" for key, value in msgspec.structs.asdict(config.server).items()]
+    for robot in config.robots:
+        lines += ["", "[[robots]]", *(_live(robot) if isinstance(robot, RobotSettings) else _broken(robot))]
+    return "\n".join(lines) + "\n"
+
+
+def _live(robot: RobotSettings) -> Iterator[str]:
+    yield f"name = {_value(robot.name)}"
+    yield f"vendor = {_value(robot.vendor.name)}"
+    yield f"protocol = {_value(robot.protocol.name)}"
+    yield f"host = {_value(robot.host)}"
+    yield f"port = {_value(robot.port)}"
+    yield "# rate_hz: the controller sets it" if robot.rate_hz is None else f"rate_hz = {_value(robot.rate_hz)}"
+    yield f"stale_s = {_value(robot.stale_s)}"
+    if robot.estop_polarity is None:
+        yield "# estop_polarity is not set: e_stopped stays null"
+    else:
+        yield f"estop_polarity = {_value(robot.estop_polarity)}"
+    options = msgspec.to_builtins(robot.options)
+    if options:
+        yield f"[robots.{_key(robot.protocol.name)}]"
+    for key, value in options.items():
+        yield f"# {key} is not set" if value is None else f"{_key(key)} = {_value(value)}"
+
+
+def _broken(robot: BrokenRobot) -> Iterator[str]:
+    yield f"# off, the vendor is broken: {' '.join(robot.error.reason.split())}"
+    yield f"name = {_value(robot.name)}"
+    yield f"vendor = {_value(robot.vendor)}"
+    if robot.protocol:
+        yield f"protocol = {_value(robot.protocol)}"
+    yield f"host = {_value(robot.host)}"
+
+
+def _key(key: str) -> str:
+    return key if key.replace("-", "_").isidentifier() and key.isascii() else _value(key)
+
+
+def _value(value: object) -> str:
+    """A value in TOML; None, which TOML does not have, is left out of tables by the caller."""
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, dict):
+        pairs = (f"{_key(str(key))} = {_value(part)}" for key, part in value.items() if part is not None)
+        return f"{{ {', '.join(pairs)} }}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_value, value))}]"
+    return str(value).lower() if isinstance(value, bool) else repr(value)
+
+
+def json_schema(registry: Registry) -> Schema:
+    """JSON Schema (draft 2020-12) of the configuration file, with the options of every vendor that can be loaded."""
+    vendors = list(_loadable(registry))
+    options = [protocol.options for vendor in vendors for protocol in vendor.protocols]
+    structs: list[type] = list(dict.fromkeys([Server, RobotTable, *options]))
+    references, definitions = msgspec.json.schema_components(structs, ref_template=_REFERENCE)
+    found: dict[type, Schema] = dict(zip(structs, references, strict=True))
+    robot = definitions.pop(RobotTable.__name__)
+    robot["properties"] = {key: _without_null(value) for key, value in robot["properties"].items()}
+    robot["properties"]["vendor"]["enum"] = registry.names()
+    keys = list(robot["properties"])
+    robot["allOf"] = [
+        {"if": _chosen(vendor, protocol), "then": _table(keys, protocol, found[protocol.options])}
+        for vendor in vendors
+        for protocol in vendor.protocols
+    ] + [
+        {"if": _is("vendor", vendor.name), "then": {"properties": {"protocol": {"enum": _names(vendor)}}}}
+        for vendor in vendors
+    ]
+    return {
+        "$schema": DRAFT,
+        "title": TITLE,
+        "type": "object",
+        "properties": {
+            "vendor_dirs": {
+                "description": "Folders of further vendors; refused if others may write to them.",
+                "type": "array",
+                "items": {"type": "string"},
+                "default": [],
+            },
+            "server": found[Server],
+            "robots": {"type": "array", "items": {"$ref": _REFERENCE.format(name="Robot")}},
+        },
+        "additionalProperties": False,
+        "$defs": {"Robot": robot, **definitions},
+    }
+
+
+def _loadable(registry: Registry) -> Iterator[Vendor]:
+    for name in registry.names():
+        try:
+            yield registry.vendor(name)
+        except VendorError:
+            continue  # its robots are not restricted
+
+
+def _names(vendor: Vendor) -> list[str]:
+    return [protocol.name for protocol in vendor.protocols]
+
+
+def _is(key: str, value: str) -> Schema:
+    return {"properties": {key: {"const": value}}, "required": [key]}
+
+
+def _chosen(vendor: Vendor, protocol: Protocol) -> Schema:
+    """Matches the robots that speak a protocol; the default one also where none is named."""
+    named = _is("protocol", protocol.name)
+    if protocol is vendor.protocol():
+        named = {"anyOf": [named, {"not": {"required": ["protocol"]}}]}
+    return {"allOf": [_is("vendor", vendor.name), named]}
+
+
+def _table(keys: list[str], protocol: Protocol, options: Schema) -> Schema:
+    """What a robot that speaks a protocol may have."""
+    properties: Schema = {
+        "port": {"default": protocol.port},
+        "stale_s": {"default": protocol.stale_s},
+        protocol.name: options,
+    }
+    if protocol.rate_hz is not None:
+        highest = {} if protocol.max_rate_hz is None else {"maximum": protocol.max_rate_hz}
+        properties["rate_hz"] = {"default": protocol.rate_hz, **highest}
+    else:
+        keys = [key for key in keys if key != "rate_hz"]
+    return {"properties": properties, "propertyNames": {"enum": [*keys, protocol.name]}}
+
+
+def _without_null(schema: Schema) -> Schema:
+    """The schema of a key that may be left out; TOML has no null to write in its place."""
+    kinds = schema.pop("anyOf", None)
+    if isinstance(kinds, list):
+        schema.update(next(kind for kind in kinds if kind.get("type") != "null"))
+    if isinstance(values := schema.get("enum"), list):
+        schema["enum"] = [value for value in values if value is not None]
+    if schema.get("default", "") is None:
+        del schema["default"]
+    return schema

@@ -1,0 +1,190 @@
+"""The bus: topics with their latest readings, and listeners that are told at once. Publishing is synchronous and cannot block.
+
+A `Reading` is what one moment says of a topic. It is normalised only when somebody asks for it, and once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from fnmatch import fnmatchcase
+from typing import Literal, Protocol
+
+from gateway.api.compiler import Reader
+from gateway.api.decoder import Frame
+from gateway.api.model import GROUPS, Event, EventKind, Group, Quality, Sample, worst
+from gateway.core.events import EventRing
+
+Origin = Literal["live", "sim", "replay"]
+
+
+class Reading(Protocol):
+    """What one moment says of a topic; `encoded` is the doors' cache, so that each encoding is made once."""
+
+    encoded: dict[object, bytes]
+
+    def sample(self, topic: Topic) -> Sample:
+        """The canonical sample."""
+        ...
+
+
+class Listener(Protocol):
+    """A subscriber's inbox. It must return at once, and never raises."""
+
+    def on_reading(self, topic: Topic, reading: Reading) -> None:
+        """A topic has something new."""
+        ...
+
+    def on_event(self, topic: Topic, event: Event) -> None:
+        """An edge was found."""
+        ...
+
+
+class Topic:
+    """One `<robot>/<group>`.
+
+    Attributes:
+        name: As subscribers know it.
+        robot: Name of the robot.
+        group: The group of the model.
+        latest: The newest reading; None only for event topics.
+        listeners: Who is told.
+    """
+
+    __slots__ = ("group", "latest", "listeners", "name", "robot")
+
+    def __init__(self, robot: str, group: Group) -> None:
+        self.name = f"{robot}/{group.name}"
+        self.robot = robot
+        self.group = group
+        self.latest: Reading | None = None
+        self.listeners: list[Listener] = []
+
+
+class ValueReading:
+    """A reading whose value is at hand: the link's own topics, and the last sample of a lost one."""
+
+    __slots__ = ("_sample", "encoded")
+
+    def __init__(self, sample: Sample) -> None:
+        self._sample = sample
+        self.encoded: dict[object, bytes] = {}
+
+    def sample(self, topic: Topic) -> Sample:  # noqa: ARG002 - such a reading belongs to one topic
+        """The sample."""
+        return self._sample
+
+
+class FrameStream:
+    """What the frames of one session have in common.
+
+    Args:
+        epoch: Name of the session's epoch.
+        readers: The compiled readers of its layout, by group.
+        quality: Worst quality of every frame: UNCERTAIN where they are longer than the layout.
+        origin: Where they come from.
+        on_bad: Called when a group held NaN or infinity.
+    """
+
+    __slots__ = ("epoch", "on_bad", "origin", "quality", "readers")
+
+    def __init__(
+        self,
+        epoch: str,
+        readers: dict[str, Reader],
+        quality: Quality,
+        origin: Origin,
+        on_bad: Callable[[], None],
+    ) -> None:
+        self.epoch = epoch
+        self.readers = readers
+        self.quality = quality
+        self.origin: Origin = origin
+        self.on_bad = on_bad
+
+
+class FrameReading:
+    """What one frame says: one object for all its topics, normalised group by group when first asked."""
+
+    __slots__ = ("_samples", "encoded", "frame", "seq", "stream", "t")
+
+    def __init__(self, stream: FrameStream, frame: Frame, seq: int, t: int) -> None:
+        self.stream = stream
+        self.frame = frame
+        self.seq = seq
+        self.t = t
+        self._samples: dict[str, Sample] = {}
+        self.encoded: dict[object, bytes] = {}
+
+    def sample(self, topic: Topic) -> Sample:
+        """The canonical sample of a topic of this robot."""
+        group = topic.group.name
+        found = self._samples.get(group)
+        if found is None:
+            found = self._samples[group] = self._normalised(topic, self.stream.readers[group])
+        return found
+
+    def replace(self, sample: Sample, group: str) -> None:
+        """Put in a sample that the core has completed (fault stamps)."""
+        self._samples[group] = sample
+
+    def _normalised(self, topic: Topic, reader: Reader) -> Sample:
+        stream = self.stream
+        data, bad = reader.read(self.frame.raw, self.frame.start)
+        quality = reader.quality
+        if stream.quality is not Quality.GOOD:
+            quality = worst(quality, stream.quality)
+        if bad:
+            quality = worst(quality, Quality.BAD)
+            stream.on_bad()
+        return Sample(
+            topic=topic.name,
+            seq=self.seq,
+            epoch=stream.epoch,
+            t=self.t,
+            q=quality,
+            origin=stream.origin,
+            data=data,
+        )
+
+
+class Bus:
+    """All topics of the gateway, and the ring of its events.
+
+    Args:
+        events: The ring.
+    """
+
+    def __init__(self, events: EventRing) -> None:
+        self.topics: dict[str, Topic] = {}
+        self.events = events
+
+    def add(self, robot: str, groups: Iterable[str]) -> dict[str, Topic]:
+        """Make the topics of a robot, by group."""
+        made = {group: Topic(robot, GROUPS[group]) for group in groups}
+        self.topics.update({topic.name: topic for topic in made.values()})
+        return made
+
+    def match(self, patterns: Iterable[str]) -> list[Topic]:
+        """The topics that any of some globs (`*/joints`, `r1/*`) names."""
+        wanted = list(patterns)
+        return [topic for name, topic in self.topics.items() if any(fnmatchcase(name, one) for one in wanted)]
+
+    def publish(self, topic: Topic, reading: Reading) -> None:
+        """Keep a reading as the latest one and tell the listeners."""
+        topic.latest = reading
+        for listener in topic.listeners:
+            listener.on_reading(topic, reading)
+
+    def raise_event(
+        self,
+        topic: Topic,
+        t: int,
+        kind: EventKind,
+        before: object,
+        after: object,
+        raw: dict[str, object],
+    ) -> None:
+        """Put an edge into the ring and tell the listeners of the robot's event topic."""
+        event = self.events.append(topic.robot, t, kind, before, after, raw)
+        for listener in topic.listeners:
+            listener.on_event(topic, event)

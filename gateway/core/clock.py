@@ -1,0 +1,72 @@
+"""Clocks: the machine's two, behind one small interface, and the time line that stamps the samples of one epoch."""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+# A wall clock that is set back by more than this is not waited for: a new epoch begins instead.
+BACK_STEP_US = 500_000
+
+
+class Clock(Protocol):
+    """What the core knows of time; tests give their own."""
+
+    def monotonic(self) -> float:
+        """Seconds, never set, never backwards."""
+        ...
+
+    def utc_us(self) -> int:
+        """µs since 1970 UTC, as the machine believes now; may be set forward and back."""
+        ...
+
+
+class SystemClock:
+    """The machine's clocks."""
+
+    def monotonic(self) -> float:
+        """Seconds of the same clock that the event loop uses."""
+        return time.monotonic()
+
+    def utc_us(self) -> int:
+        """µs since 1970 UTC."""
+        return time.time_ns() // 1000
+
+
+class Timeline:
+    """Maps monotonic receive times to UTC; never backwards inside an epoch.
+
+    Args:
+        clock: Where both times come from.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._offset_us = self._measured_offset_us()
+        self._last_us = 0
+
+    def stamp(self, monotonic_s: float) -> int:
+        """The UTC time, µs since 1970, of a monotonic time in s."""
+        self._last_us = max(self._last_us, int(monotonic_s * 1e6) + self._offset_us)
+        return self._last_us
+
+    def now(self) -> int:
+        """The UTC time, µs since 1970, of now."""
+        return self.stamp(self._clock.monotonic())
+
+    def follow(self) -> bool:
+        """Follow the wall clock, which may have been set.
+
+        Returns:
+            Whether it was set back so far that a new epoch must begin.
+        """
+        measured = self._measured_offset_us()
+        if measured - self._offset_us < -BACK_STEP_US:
+            self._offset_us = measured
+            self._last_us = 0
+            return True
+        self._offset_us = measured
+        return False
+
+    def _measured_offset_us(self) -> int:
+        return self._clock.utc_us() - int(self._clock.monotonic() * 1e6)

@@ -1,0 +1,141 @@
+"""Edges: events found once, in one place, in the canonical state of a robot.
+
+What is compared is the last value that was known: a value that becomes null (a lost link) is no edge, and what changed
+while nobody could see it is one as soon as it is seen again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import msgspec
+
+from gateway.api.model import EventKind, Fault, Motion, Program, ProgramState, Safety, Status
+
+_MOVES = {Motion.MOVING, Motion.HAND_GUIDING, Motion.EXTERNAL_CONTROL, Motion.JOGGING}
+_RESTS = {Motion.STANDSTILL, Motion.HOLD}
+_ACTIVE = {ProgramState.RUNNING, ProgramState.PAUSED}
+_ENDED = {ProgramState.NONE, ProgramState.LOADED, ProgramState.STOPPED, ProgramState.ERROR}
+
+
+@dataclass(frozen=True, slots=True)
+class Edge:
+    """One change, before the ring has named it.
+
+    Args:
+        kind: What happened.
+        key: The canonical key that changed.
+        before: Its value before; None: unknown.
+        after: Its value after.
+    """
+
+    kind: EventKind
+    key: str
+    before: object
+    after: object
+
+
+Rule = Callable[[object, object], EventKind | None]
+
+
+def _changed(kind: EventKind) -> Rule:
+    return lambda _before, _after: kind
+
+
+def _switched(on: EventKind, off: EventKind) -> Rule:
+    return lambda before, after: on if after else off if before else None
+
+
+def _motion(before: object, after: object) -> EventKind | None:
+    if after in _MOVES and before not in _MOVES:
+        return EventKind.MOTION_STARTED
+    return EventKind.MOTION_STOPPED if after in _RESTS and before in _MOVES else None
+
+
+def _program(before: object, after: object) -> EventKind | None:
+    if after == ProgramState.RUNNING:
+        return EventKind.PROGRAM_STARTED
+    if after == ProgramState.PAUSED:
+        return EventKind.PROGRAM_PAUSED
+    return EventKind.PROGRAM_STOPPED if after in _ENDED and before in _ACTIVE else None
+
+
+# canonical key -> which event its change is, if any
+_RULES: dict[str, Rule] = {
+    "status.operating_mode": _changed(EventKind.MODE_CHANGED),
+    "status.power": _changed(EventKind.POWER_CHANGED),
+    "status.motion": _motion,
+    "status.program.state": _program,
+    "status.e_stopped": _switched(EventKind.ESTOP_PRESSED, EventKind.ESTOP_RELEASED),
+    "safety.state": _changed(EventKind.SAFETY_CHANGED),
+    "safety.collision": _switched(EventKind.COLLISION_DETECTED, EventKind.COLLISION_CLEARED),
+    "safety.self_collision": _switched(EventKind.COLLISION_DETECTED, EventKind.COLLISION_CLEARED),
+}
+
+
+class EdgeFinder:
+    """Finds the edges of one robot and remembers since when its faults stand."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, object] = {}
+        self._faults: dict[tuple[object, ...], Fault] = {}
+
+    def observe_safety(self, safety: Safety) -> list[Edge]:
+        """Compare the safety group with what was known."""
+        return self._compare(
+            {
+                "safety.state": safety.state,
+                "safety.collision": safety.collision,
+                "safety.self_collision": safety.self_collision,
+            },
+        )
+
+    def observe_status(self, status: Status, t: int) -> tuple[Status, list[Edge]]:
+        """Compare the status group with what was known, and stamp its faults.
+
+        Args:
+            status: As normalised.
+            t: Receive time, µs UTC.
+
+        Returns:
+            The status whose faults say `since` when they stand, and the edges.
+        """
+        program = status.program or Program()
+        edges = self._compare(
+            {
+                "status.operating_mode": status.operating_mode,
+                "status.power": status.power,
+                "status.motion": status.motion,
+                "status.program.state": program.state,
+                "status.e_stopped": status.e_stopped,
+            },
+        )
+        if status.faults is None:
+            return status, edges
+        present: dict[tuple[object, ...], Fault] = {}
+        for fault in status.faults:
+            known = self._faults.get(fault.key)
+            stamped = msgspec.structs.replace(fault, since=known.since if known else t)
+            present[fault.key] = stamped
+            if known is None:
+                edges.append(Edge(EventKind.FAULT_RAISED, "status.faults", None, stamped))
+        edges += [
+            Edge(EventKind.FAULT_CLEARED, "status.faults", fault, None)
+            for key, fault in self._faults.items()
+            if key not in present
+        ]
+        self._faults = present
+        return msgspec.structs.replace(status, faults=list(present.values())), edges
+
+    def _compare(self, values: dict[str, object]) -> list[Edge]:
+        edges = []
+        for key, after in values.items():
+            before = self._known.get(key)
+            if after is None or after == before:
+                continue
+            self._known[key] = after
+            kind = _RULES[key](before, after)
+            if kind is not None:
+                edges.append(Edge(kind, key, before, after))
+        return edges

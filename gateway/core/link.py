@@ -1,0 +1,251 @@
+"""The lasting association with a robot: connects, runs sessions, backs off, and never gives up."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Sequence
+
+import anyio
+import msgspec
+import structlog
+
+from gateway.api.decoder import Event, Frame
+from gateway.api.model import GROUPS, EventKind, LinkState, Quality, Sample
+from gateway.api.model import Link as LinkData
+from gateway.api.normaliser import Normaliser
+from gateway.core.backoff import REFUSED_S, Backoff, backoff
+from gateway.core.bus import Bus, Origin, Topic, ValueReading
+from gateway.core.clock import Clock, Timeline
+from gateway.core.counters import LinkCounters
+from gateway.core.publisher import Publisher
+from gateway.core.session import Session
+from gateway.core.settings import BrokenRobot, RobotSettings
+from gateway.core.transport import Connector
+from gateway.errors import LinkError, LinkRefused, LinkStale
+
+_LOG = structlog.get_logger()
+_REFUSED_STATES = {"incompatible": LinkState.INCOMPATIBLE, "refused": LinkState.REFUSED}
+
+
+class Link:
+    """Keeps one robot connected for ever and publishes what it says.
+
+    Args:
+        robot: What to connect to.
+        connector: How to connect.
+        bus: Where to publish.
+        clock: Both times.
+        delays: Makes a new series of delays between attempts.
+    """
+
+    def __init__(
+        self,
+        robot: RobotSettings,
+        connector: Connector,
+        bus: Bus,
+        clock: Clock,
+        delays: Backoff = backoff,
+    ) -> None:
+        self._robot = robot
+        self._connector = connector
+        self._bus = bus
+        self._clock = clock
+        self._new_delays = delays
+        self._delays = delays()
+        self._timeline = Timeline(clock)
+        normaliser = Normaliser(robot.protocol.signals, robot.signal_options)
+        self._publisher = Publisher(robot.name, bus, normaliser, robot.origin)
+        topics = bus.add(robot.name, ["link", "link_stats"])
+        self._own = {group: _OwnTopic(topic, bus, robot.origin) for group, topic in topics.items()}
+        self._counters = LinkCounters()
+        self._epochs = 0
+        self._boot = secrets.token_hex(4)
+        self._first_frame = True
+        self._logged: tuple[object, ...] | None = None
+        self._data = LinkData(
+            state=LinkState.DISCONNECTED,
+            reason="not tried yet",
+            since=self._timeline.now(),
+            protocol=robot.protocol.name,
+            peer=connector.peer,
+            requested_hz=robot.rate_hz,
+        )
+        self._log = _LOG.bind(robot=robot.name, vendor=robot.vendor.name, protocol=robot.protocol.name)
+        self._publisher.silent(Quality.DISCONNECTED, self._timeline.now(), None)
+        self._say()
+
+    async def run(self) -> None:
+        """Connect and reconnect until cancelled."""
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(self._count_every_second)
+            while True:
+                delay_s = await self._attempt()
+                await anyio.sleep(delay_s)
+
+    async def _attempt(self) -> float:
+        """Connect once and run the session; return the delay before the next attempt."""
+        self._enter(LinkState.CONNECTING, None, attempts=self._data.attempts + 1, next_attempt=None)
+        try:
+            await self._connect_and_run()
+        except LinkRefused as error:
+            state = _REFUSED_STATES.get(error.kind, LinkState.DISCONNECTED)
+            return self._lost(state, error.reason, REFUSED_S if error.kind in _REFUSED_STATES else None)
+        except LinkStale as error:
+            return self._lost(LinkState.STALE, error.reason)
+        except LinkError as error:
+            return self._lost(LinkState.DISCONNECTED, error.reason)
+        except Exception as error:
+            self._log.exception("link.faulted", reason=repr(error))
+            return self._lost(LinkState.FAULTED, f"internal error, see the log: {error!r}", REFUSED_S)
+        raise AssertionError("a session ends with an exception")
+
+    async def _connect_and_run(self) -> None:
+        robot = self._robot
+        connection = await self._connector.connect()
+        try:
+            self._begin_epoch()
+            self._enter(LinkState.HANDSHAKING, "connected, waiting for the first frame", layout=None)
+            self._counters.sessions += 1
+            self._first_frame = True
+            session = Session(
+                connection,
+                robot.protocol.decoder(robot.options),
+                self,
+                period_s=None if robot.rate_hz is None else 1 / robot.rate_hz,
+                stale_s=robot.stale_s,
+                on_stale=robot.protocol.on_stale,
+                clock=self._clock,
+            )
+            await session.run()
+        finally:
+            with anyio.CancelScope(shield=True):
+                await connection.aclose()
+
+    def received(self, n_bytes: int, events: Sequence[Event], at_s: float, decode_s: float) -> None:
+        """Take what the session has received; see `gateway.core.session.Sink`."""
+        self._counters.take(n_bytes, events, at_s, decode_s)
+        for event in events:
+            if type(event) is Frame:
+                if self._first_frame:
+                    self._online(event)
+                self._publisher.frame(event, at_s)
+
+    def silent(self, reason: str) -> None:
+        """Take that a kept session is stale; see `gateway.core.session.Sink`."""
+        self._announce_loss(LinkState.STALE, reason)
+        self._enter(LinkState.STALE, reason, last_error=reason)
+        self._first_frame = True
+
+    def _online(self, frame: Frame) -> None:
+        """The first good frame of a session, or after a silence."""
+        self._first_frame = False
+        self._delays = self._new_delays()
+        before = self._data.state
+        extra = len(frame.raw) - frame.start - frame.layout.size if frame.quality is Quality.UNCERTAIN else 0
+        layout = frame.layout.name + (f" + {extra} bytes that the layout does not explain" if extra else "")
+        attempts = self._data.attempts
+        self._enter(LinkState.ONLINE, None, attempts=0, layout=layout)
+        self._raise(EventKind.LINK_ONLINE, before, LinkState.ONLINE, None)
+        self._log.info("link.connected", peer=self._connector.peer, attempts=attempts, layout=layout)
+        self._logged = None
+
+    def _lost(self, state: LinkState, reason: str, delay_s: float | None = None) -> float:
+        """Say that the session is lost, or that there was none, and when the next attempt is due."""
+        if delay_s is None:
+            delay_s = next(self._delays)
+        self._announce_loss(state, reason)
+        due = self._timeline.now() + int(delay_s * 1e6)
+        self._enter(state, reason, last_error=reason, next_attempt=due, reached_hz=None)
+        self._counters.reached_hz = None
+        return delay_s
+
+    def _announce_loss(self, state: LinkState, reason: str) -> None:
+        was_online = self._data.state is LinkState.ONLINE
+        last_s = self._counters.last_frame_s
+        if was_online:
+            now = self._timeline.now()
+            self._publisher.silent(
+                Quality.STALE if state is LinkState.STALE else Quality.DISCONNECTED,
+                now,
+                None if last_s is None else self._timeline_at(last_s),
+            )
+            self._raise(EventKind.LINK_LOST, LinkState.ONLINE, state, reason)
+        signature = (state, was_online)
+        if state is LinkState.INCOMPATIBLE and self._logged != signature:
+            self._raise(EventKind.LINK_INCOMPATIBLE, self._data.state, state, reason)
+        if self._logged != signature:  # a failure that repeats is logged once
+            self._logged = signature
+            self._log.warning("link.lost", reason=reason, state=state.value, peer=self._connector.peer)
+
+    def _timeline_at(self, monotonic_s: float) -> int:
+        ago_us = int((self._clock.monotonic() - monotonic_s) * 1e6)
+        return self._timeline.now() - ago_us
+
+    def _begin_epoch(self) -> None:
+        self._epochs += 1
+        self._timeline = Timeline(self._clock)
+        self._publisher.begin(f"{self._boot}.{self._epochs}", self._timeline)
+
+    async def _count_every_second(self) -> None:
+        while True:
+            await anyio.sleep(1)
+            if self._timeline.follow():
+                self._begin_epoch()
+            stats = self._counters.second(self._clock.monotonic(), self._publisher.bad_values)
+            self._own["link_stats"].publish(stats, self._timeline.now())
+            if self._data.state is LinkState.ONLINE and self._data.reached_hz != self._counters.reached_hz:
+                self._data = msgspec.structs.replace(self._data, reached_hz=self._counters.reached_hz)
+                self._say()
+
+    def _enter(self, state: LinkState, reason: str | None, **changes: object) -> None:
+        since = self._data.since if state is self._data.state else self._timeline.now()
+        self._data = msgspec.structs.replace(self._data, state=state, reason=reason, since=since, **changes)
+        self._say()
+
+    def _say(self) -> None:
+        self._own["link"].publish(self._data, self._timeline.now())
+
+    def _raise(self, kind: EventKind, before: object, after: object, reason: str | None) -> None:
+        raw: dict[str, object] = {} if reason is None else {"reason": reason}
+        self._bus.raise_event(self._publisher.events, self._timeline.now(), kind, before, after, raw)
+
+
+class _OwnTopic:
+    """A topic that the gateway itself speaks on."""
+
+    def __init__(self, topic: Topic, bus: Bus, origin: Origin) -> None:
+        self._topic = topic
+        self._bus = bus
+        self._origin: Origin = origin
+        self._epoch = secrets.token_hex(4)
+        self._seq = 0
+
+    def publish(self, data: msgspec.Struct, t: int) -> None:
+        """Publish the topic's next sample."""
+        self._seq += 1
+        sample = Sample(
+            topic=self._topic.name,
+            seq=self._seq,
+            epoch=self._epoch,
+            t=t,
+            q=Quality.GOOD,
+            origin=self._origin,
+            data=data,
+        )
+        self._bus.publish(self._topic, ValueReading(sample))
+
+
+def announce_broken(robot: BrokenRobot, bus: Bus, clock: Clock) -> None:
+    """Show a robot whose plugin could not be loaded: its link is FAULTED and says why."""
+    topic = bus.add(robot.name, [GROUPS["link"].name])["link"]
+    now = clock.utc_us()
+    data = LinkData(
+        state=LinkState.FAULTED,
+        reason=str(robot.error),
+        since=now,
+        protocol=robot.protocol,
+        peer=robot.host,
+        last_error=str(robot.error),
+    )
+    _OwnTopic(topic, bus, "live").publish(data, now)
+    _LOG.error("link.faulted", robot=robot.name, vendor=robot.vendor, reason=robot.error.reason)

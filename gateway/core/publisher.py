@@ -1,0 +1,169 @@
+"""The publisher of one robot: turns its frames into readings on the bus, finds its edges, and says when it fell silent."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import msgspec
+
+from gateway.api.compiler import Reader, raw_values
+from gateway.api.decoder import Frame
+from gateway.api.layout import Layout
+from gateway.api.model import GROUPS, Quality, Safety, Sample, Status
+from gateway.api.normaliser import Normaliser
+from gateway.core.bus import Bus, FrameReading, FrameStream, Origin, Topic, ValueReading
+from gateway.core.clock import Timeline
+from gateway.core.edges import Edge, EdgeFinder
+
+
+class _State:
+    """A state topic with what it last said."""
+
+    __slots__ = ("data", "key", "reader", "topic")
+
+    def __init__(self, topic: Topic, reader: Reader) -> None:
+        self.topic = topic
+        self.reader = reader
+        self.key: object = None
+        self.data: object = None
+
+
+class Publisher:
+    """Publishes what one robot's frames say.
+
+    Sample topics keep the frame and normalise it when somebody asks; state topics compare the bits that they follow from
+    and publish only a change.
+
+    Args:
+        robot: Name of the robot.
+        bus: Where to publish.
+        normaliser: The readers of the robot's protocol.
+        origin: Where the frames come from.
+
+    Attributes:
+        bad_values: How many groups held NaN or infinity.
+    """
+
+    def __init__(self, robot: str, bus: Bus, normaliser: Normaliser, origin: Origin) -> None:
+        self._bus = bus
+        self._normaliser = normaliser
+        self._origin: Origin = origin
+        self._topics = bus.add(robot, normaliser.groups)
+        self._events = bus.add(robot, ["events"])["events"]
+        self._edges = EdgeFinder()
+        self._timeline: Timeline | None = None
+        self._epoch = ""
+        self._seq = 0
+        self._layout: Layout | None = None
+        self._stream: FrameStream | None = None
+        self._samples: list[Topic] = []
+        self._states: list[_State] = []
+        self.bad_values = 0
+
+    @property
+    def events(self) -> Topic:
+        """The robot's event topic."""
+        return self._events
+
+    def begin(self, epoch: str, timeline: Timeline) -> None:
+        """A session has begun: its samples have a new epoch."""
+        self._epoch = epoch
+        self._timeline = timeline
+        self._seq = 0
+        self._stream = None
+
+    def frame(self, frame: Frame, monotonic_s: float) -> None:
+        """Publish a good frame that was received at a monotonic time in s."""
+        if self._timeline is None:
+            raise ValueError("begin() comes before the first frame")
+        stream = self._stream
+        if stream is None or frame.layout is not self._layout or frame.quality is not stream.quality:
+            stream = self._new_stream(frame)
+        self._seq += 1
+        reading = FrameReading(stream, frame, self._seq, self._timeline.stamp(monotonic_s))
+        for topic in self._samples:
+            topic.latest = reading
+            for listener in topic.listeners:
+                listener.on_reading(topic, reading)
+        for state in self._states:
+            key = state.reader.key(frame.raw, frame.start)
+            if key != state.key:
+                state.key = key
+                self._publish_state(state, reading)
+
+    def silent(self, quality: Quality, t: int, t_last: int | None) -> None:
+        """Say on every topic, once, that no more values come: all leaves null, with the time of the last frame.
+
+        Args:
+            quality: STALE or DISCONNECTED.
+            t: Now, µs UTC.
+            t_last: Time of the last frame, µs UTC; None if there never was one.
+        """
+        self._seq += 1
+        self._stream = None
+        for group, topic in self._topics.items():
+            struct = GROUPS[group].struct
+            sample = Sample(
+                topic=topic.name,
+                seq=self._seq,
+                epoch=self._epoch,
+                t=t,
+                t_last=t_last,
+                q=quality,
+                origin=self._origin,
+                data=struct() if struct else self._empty_vendor(),
+            )
+            self._bus.publish(topic, ValueReading(sample))
+
+    def _new_stream(self, frame: Frame) -> FrameStream:
+        readers = self._normaliser.readers(frame.layout)
+        self._layout = frame.layout
+        self._stream = FrameStream(self._epoch, readers, frame.quality, self._origin, self._count_bad)
+        topics = {group: topic for group, topic in self._topics.items() if group in readers}
+        self._samples = [topic for topic in topics.values() if topic.group.delivery == "sample"]
+        self._states = [
+            _State(topic, readers[group]) for group, topic in topics.items() if topic.group.delivery == "state"
+        ]
+        return self._stream
+
+    def _publish_state(self, state: _State, reading: FrameReading) -> None:
+        """Publish a state topic if its canonical values changed, and the edges that show in them."""
+        topic = state.topic
+        sample = reading.sample(topic)
+        edges: list[Edge] = []
+        if topic.group.name == "status":
+            status, edges = self._edges.observe_status(cast("Status", sample.data), reading.t)
+            sample = msgspec.structs.replace(sample, data=status)
+            reading.replace(sample, topic.group.name)
+        elif topic.group.name == "safety":
+            edges = self._edges.observe_safety(cast("Safety", sample.data))
+        settled = sample.data
+        for path in state.reader.volatile:
+            settled = _without(settled, path)
+        if (settled, sample.q) == state.data:
+            return
+        state.data = (settled, sample.q)
+        self._bus.publish(topic, reading)
+        for edge in edges:
+            self._raise(edge, reading)
+
+    def _raise(self, edge: Edge, reading: FrameReading) -> None:
+        frame = reading.frame
+        raw = raw_values(frame.layout, frame.raw, frame.start, self._normaliser.sources(edge.key))
+        if edge.key == "status.faults":  # of the many words that faults follow from, those that say something
+            raw = {name: value for name, value in raw.items() if value and value != [0] * 6}
+        self._bus.raise_event(self._events, reading.t, edge.kind, edge.before, edge.after, raw)
+
+    def _count_bad(self) -> None:
+        self.bad_values += 1
+
+    def _empty_vendor(self) -> object:
+        return self._normaliser.readers(self._layout)["vendor"].empty if self._layout else {}
+
+
+def _without(data: object, path: tuple[str, ...]) -> object:
+    """A copy of a struct with one leaf null."""
+    if not isinstance(data, msgspec.Struct):
+        return data
+    below = getattr(data, path[0])
+    return msgspec.structs.replace(data, **{path[0]: _without(below, path[1:]) if len(path) > 1 else None})

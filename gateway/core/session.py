@@ -1,0 +1,175 @@
+"""One connection to a controller: reads, asks at the protocol's period, and watches that good frames keep coming."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Protocol
+
+import anyio
+
+from gateway.api.decoder import Decoder, Event, Frame, Refused, Reject
+from gateway.api.vendor import OnStale
+from gateway.core.clock import Clock
+from gateway.core.transport import Connection
+from gateway.errors import LinkError, LinkRefused, LinkStale
+
+# The deadline of the watchdog moves on only when less than this share of it remains: moving it has a price.
+_LAZY_SHARE = 0.8
+_GOODBYE_S = 0.5
+
+
+class Sink(Protocol):
+    """Who takes what a session receives."""
+
+    def received(self, n_bytes: int, events: Sequence[Event], at_s: float, decode_s: float) -> None:
+        """Bytes were received and decoded, at a monotonic time in s."""
+        ...
+
+    def silent(self, reason: str) -> None:
+        """No good frame came within `stale_s`, and the session is kept."""
+        ...
+
+
+class Session:
+    """Runs one connection until it is lost.
+
+    Args:
+        connection: The open connection; closed by its owner.
+        decoder: Reads this connection only.
+        sink: Takes the events.
+        period_s: Time between ticks of the decoder; None where nothing is asked.
+        stale_s: Time without a good frame after which the session is stale.
+        on_stale: Whether a stale session ends.
+        clock: Gives the receive times.
+    """
+
+    def __init__(
+        self,
+        connection: Connection,
+        decoder: Decoder,
+        sink: Sink,
+        *,
+        period_s: float | None,
+        stale_s: float,
+        on_stale: OnStale,
+        clock: Clock,
+    ) -> None:
+        self._connection = connection
+        self._decoder = decoder
+        self._sink = sink
+        self._period_s = period_s
+        self._stale_s = stale_s
+        self._on_stale = on_stale
+        self._now = clock.monotonic
+        self._wake = anyio.Event()
+        self._owed = decoder.outgoing()
+        self._overdue = False  # the decoder had nothing to ask when it was due: it waits for an answer
+        self._n_bytes = self._n_frames = 0
+        self._last_reject: Reject | None = None
+
+    async def run(self) -> None:
+        """Read and ask until the session is lost; never returns.
+
+        Raises:
+            LinkError: Why it was lost.
+        """
+        try:
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(self._ask)
+                await self._read()
+        except BaseExceptionGroup as group:
+            raise _first_leaf(group) from group
+        finally:
+            now = self._now()
+            self._note(0, self._decoder.end(), now, 0.0)
+            goodbye = self._decoder.goodbye()
+            if goodbye:
+                with anyio.move_on_after(_GOODBYE_S, shield=True):
+                    await self._say(goodbye)
+
+    async def _read(self) -> None:
+        deadline_s = self._now() + self._stale_s
+        while True:
+            with anyio.CancelScope(deadline=deadline_s) as watchdog:
+                await self._read_under(watchdog)
+            reason = self._silence()
+            if self._on_stale == "close":
+                reason = self._silence(self._decoder.end())
+                raise LinkStale(reason)
+            self._sink.silent(reason)
+            deadline_s = math.inf
+
+    async def _read_under(self, watchdog: anyio.CancelScope) -> None:
+        """Read; every good frame moves the deadline of the watchdog on."""
+        lazy_s = self._stale_s * _LAZY_SHARE
+        while True:
+            data = await self._connection.receive()
+            at_s = self._now()
+            events = self._decoder.feed(data)
+            self._note(len(data), events, at_s, self._now() - at_s)
+            for event in events:
+                if isinstance(event, Frame):
+                    if not lazy_s < watchdog.deadline - at_s < math.inf:
+                        watchdog.deadline = at_s + self._stale_s
+                elif isinstance(event, Refused):
+                    raise LinkRefused(event.reason, event.kind)
+            owed = self._decoder.outgoing()
+            if owed or self._overdue:
+                self._owed += owed
+                self._wake.set()
+
+    async def _ask(self) -> None:
+        """Send what the decoder owes: at once what it answers, at the period what it asks. The only sender."""
+        due_s = self._now() if self._period_s else math.inf
+        while True:
+            self._wake = anyio.Event()
+            owed, self._owed = self._owed, b""
+            now = self._now()
+            if self._period_s and (self._overdue or now >= due_s):
+                asked = self._decoder.tick()
+                if isinstance(asked, Refused):
+                    raise LinkRefused(asked.reason, asked.kind)
+                owed += asked
+                self._overdue = not asked
+                # Phase-locked: a late wake-up is caught up with, but never by more than one period.
+                due_s = max(due_s + self._period_s, now - self._period_s) if asked else now + self._period_s
+            if owed:
+                await self._connection.send(owed)
+            with anyio.CancelScope(deadline=due_s):
+                await self._wake.wait()
+
+    async def _say(self, data: bytes) -> None:
+        try:
+            await self._connection.send(data)
+        except LinkError:
+            return  # the controller is gone: nobody is left to be told
+
+    def _note(self, n_bytes: int, events: Sequence[Event], at_s: float, decode_s: float) -> None:
+        self._n_bytes += n_bytes
+        for event in events:
+            if type(event) is Frame:
+                self._n_frames += 1
+            elif type(event) is Reject:
+                self._last_reject = event
+        self._sink.received(n_bytes, events, at_s, decode_s)
+
+    def _silence(self, left: Sequence[Reject] = ()) -> str:
+        """Say in words what a stale session has seen."""
+        if left:
+            self._note(0, left, self._now(), 0.0)
+        if self._n_frames:
+            return f"no good frame for {self._stale_s:g} s"
+        if not self._n_bytes:
+            return f"connected, but not one byte came within {self._stale_s:g} s"
+        reject = self._last_reject
+        why = f"; last reject: {reject.reason}{f' ({reject.detail})' if reject.detail else ''}" if reject else ""
+        return f"connected, {self._n_bytes} bytes came, but no good frame{why}"
+
+
+def _first_leaf(group: BaseExceptionGroup[BaseException]) -> BaseException:
+    """The exception that matters of a group: one that is no link error hides behind none."""
+    leaves: list[BaseException] = []
+    for error in group.exceptions:
+        leaves.append(_first_leaf(error) if isinstance(error, BaseExceptionGroup) else error)
+    return next((error for error in leaves if not isinstance(error, LinkError)), leaves[0])

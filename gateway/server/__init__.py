@@ -1,0 +1,1 @@
+"""The doors: one listener, many clients, several protocols. Doors only read."""

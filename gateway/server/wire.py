@@ -1,0 +1,164 @@
+"""The two encodings of the native protocol. A sample is encoded once for each (topic, fields, encoding), never per client."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import msgspec
+
+from gateway.api.messages import JSON_SUBPROTOCOL, MSGPACK_SUBPROTOCOL, Request, Response
+from gateway.api.model import Event
+from gateway.core.bus import Reading, Topic
+
+Fields = tuple[tuple[str, ...], ...]  # dotted paths, taken apart
+
+
+class Encoding(Protocol):
+    """How messages look on the wire."""
+
+    name: str
+    text: bool
+
+    def encode(self, message: object) -> bytes:
+        """Encode one message, sample or event."""
+        ...
+
+    def decode(self, message: bytes | str) -> Request:
+        """Decode a request.
+
+        Raises:
+            msgspec.DecodeError: It is no message of this encoding; `ValidationError` where it is no known request.
+        """
+        ...
+
+    def decode_any(self, message: bytes | str) -> object:
+        """Decode any value, to find the id of a request that is wrong."""
+        ...
+
+    def list_message(self, op: str, key: str, items: Sequence[bytes]) -> bytes:
+        """Join encoded items to the message `{op, key: [items]}`."""
+        ...
+
+
+class Json:
+    """Text frames."""
+
+    name = JSON_SUBPROTOCOL
+    text = True
+
+    def __init__(self) -> None:
+        self.encode = msgspec.json.Encoder().encode
+        self.decode = msgspec.json.Decoder(Request).decode
+        self.decode_any = msgspec.json.Decoder().decode
+
+    def list_message(self, op: str, key: str, items: Sequence[bytes]) -> bytes:
+        """Join encoded items to one message."""
+        return b'{"op":"%b","%b":[%b]}' % (op.encode(), key.encode(), b",".join(items))
+
+
+class MsgPack:
+    """Binary frames."""
+
+    name = MSGPACK_SUBPROTOCOL
+    text = False
+
+    def __init__(self) -> None:
+        self.encode = msgspec.msgpack.Encoder().encode
+        self._requests: msgspec.msgpack.Decoder[Request] = msgspec.msgpack.Decoder(Request)
+        self._any = msgspec.msgpack.Decoder()
+
+    def decode(self, message: bytes | str) -> Request:
+        """Decode a request."""
+        return self._requests.decode(_as_bytes(message))
+
+    def decode_any(self, message: bytes | str) -> object:
+        """Decode any value."""
+        return self._any.decode(_as_bytes(message))
+
+    def list_message(self, op: str, key: str, items: Sequence[bytes]) -> bytes:
+        """Join encoded items to one message: a map of two with an array of 32-bit length."""
+        head = b"\x82" + self.encode("op") + self.encode(op) + self.encode(key)
+        return head + b"\xdd" + struct.pack(">I", len(items)) + b"".join(items)
+
+
+JSON: Encoding = Json()
+MSGPACK: Encoding = MsgPack()
+ENCODINGS: dict[str, Encoding] = {JSON.name: JSON, MSGPACK.name: MSGPACK}
+
+
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """What of a sample a subscription wants, and in which encoding: the key of the reading's cache.
+
+    Args:
+        encoding: How it is encoded.
+        fields: Only these paths of data; None: all.
+    """
+
+    encoding: Encoding
+    fields: Fields | None
+
+    def encoded(self, topic: Topic, reading: Reading) -> bytes:
+        """The encoded sample, made once for all clients that want the same."""
+        key = (topic.group.name, self.fields, self.encoding.name)
+        found = reading.encoded.get(key)
+        if found is None:
+            sample = reading.sample(topic)
+            if self.fields is not None:
+                sample = msgspec.structs.replace(sample, data=project(sample.data, self.fields))
+            found = reading.encoded[key] = self.encoding.encode(sample)
+        return found
+
+
+def project(data: object, fields: Fields) -> dict[str, object]:
+    """Keep only some paths of a group.
+
+    Args:
+        data: A struct of the model, or the mapping of a vendor group.
+        fields: Paths; one that the group does not have is left out.
+    """
+    kept: dict[str, object] = {}
+    for path in fields:
+        found, value = _find(data, path)
+        if not found:
+            continue
+        at = kept
+        for name in path[:-1]:
+            below = at.setdefault(name, {})
+            at = below if isinstance(below, dict) else {}
+        at[path[-1]] = value
+    return kept
+
+
+def encode_events(encoding: Encoding, events: Sequence[Event]) -> bytes:
+    """One message with some events."""
+    return encoding.list_message("event", "events", [encoding.encode(event) for event in events])
+
+
+def encode_response(encoding: Encoding, message: Response) -> bytes:
+    """One message of the gateway."""
+    return encoding.encode(message)
+
+
+def _find(data: object, path: Sequence[str]) -> tuple[bool, object]:
+    for name in path:
+        if isinstance(data, dict):
+            if name not in data:
+                return False, None
+            data = data[name]
+        elif isinstance(data, msgspec.Struct):
+            if name not in data.__struct_fields__:
+                return False, None
+            data = getattr(data, name)
+        elif data is None:
+            return True, None
+        else:
+            return False, None
+    return True, data
+
+
+def _as_bytes(message: bytes | str) -> bytes:
+    return message if isinstance(message, bytes) else message.encode()

@@ -1,0 +1,139 @@
+"""The conformance suite: the table of checks that every vendor's plugin must pass, and how one is run.
+
+    async for outcome in run(subjects(registry, "rainbow")): ...
+
+A check takes a `Subject` and raises `CheckFailed`; it may be a coroutine. One is left out only by the plugin itself,
+with `Vendor(exempt={"check": "reason"})`.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal
+
+from gateway.core.registry import Registry
+from gateway.testing import (
+    canonical_checks,
+    damage_checks,
+    polling_checks,
+    simulator_checks,
+    speed_checks,
+    stream_checks,
+    table_checks,
+    vector_checks,
+)
+from gateway.testing.subject import CheckFailed, Subject
+
+Result = Literal["passed", "exempt", "failed"]
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """A row of the suite.
+
+    Args:
+        run: The check; its name and its docstring are what people read.
+        limit_s: How long it may take in a test.
+    """
+
+    run: Callable[[Subject], Awaitable[None] | None]
+    limit_s: float = 20.0
+
+    @property
+    def name(self) -> str:
+        """What the check is called, in messages and in `Vendor.exempt`."""
+        return self.run.__name__
+
+    @property
+    def text(self) -> str:
+        """What it checks, in one sentence."""
+        return (self.run.__doc__ or "").strip()
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a check said of a protocol.
+
+    Attributes:
+        message: Why it is exempt, or what is wrong and what to do.
+    """
+
+    subject: Subject
+    check: Check
+    result: Result
+    message: str = ""
+
+
+CHECKS: tuple[Check, ...] = (
+    Check(table_checks.record_is_valid),
+    Check(table_checks.folder_is_documented),
+    Check(table_checks.tables_hold),
+    Check(table_checks.framing_holds),
+    Check(table_checks.signals_compile),
+    Check(vector_checks.vectors_cover_everything),
+    Check(vector_checks.vectors_decode),
+    Check(vector_checks.vendor_group_is_whole),
+    Check(vector_checks.encoding_agrees),
+    Check(vector_checks.bulk_reading_agrees),
+    Check(stream_checks.cuts_change_nothing),
+    Check(stream_checks.junk_is_rejected),
+    Check(stream_checks.garbage_gives_nothing),
+    Check(stream_checks.cut_frames_are_truncated),
+    Check(damage_checks.damaged_values_move_nothing, limit_s=60.0),
+    Check(damage_checks.damaged_values_stay_alone, limit_s=60.0),
+    Check(damage_checks.damaged_headers_cost_little, limit_s=60.0),
+    Check(damage_checks.damage_never_passes, limit_s=60.0),
+    Check(canonical_checks.canonical_groups_fit_the_model),
+    Check(canonical_checks.nothing_is_told_that_is_not_finite),
+    Check(canonical_checks.cut_off_is_null),
+    Check(canonical_checks.keys_follow_values, limit_s=60.0),
+    Check(polling_checks.only_allowed_bytes_are_sent),
+    Check(polling_checks.one_request_is_outstanding),
+    Check(polling_checks.skipped_frames_answer_nothing),
+    Check(polling_checks.unrequested_frames_end_the_session),
+    Check(polling_checks.requests_never_outrun_answers),
+    Check(simulator_checks.simulator_answers),
+    Check(speed_checks.decoding_is_fast),
+)
+
+
+def subjects(registry: Registry, name: str) -> tuple[Subject, ...]:
+    """Every protocol of a vendor.
+
+    Raises:
+        VendorError: The plugin cannot be loaded, or there is none of that name.
+    """
+    vendor = registry.vendor(name)
+    folder = registry.folder(name)
+    simulator = partial(registry.simulator, name)
+    return tuple(Subject(vendor, protocol, folder, simulator) for protocol in vendor.protocols)
+
+
+async def perform(check: Check, subject: Subject) -> Outcome:
+    """Run one check, or leave it out where the plugin says why it must be."""
+    unknown = set(subject.vendor.exempt) - {one.name for one in CHECKS}
+    if unknown:
+        return Outcome(
+            subject, check, "failed", f"exempt names no check: {', '.join(sorted(unknown))}: correct the name"
+        )
+    if check.name in subject.vendor.exempt:
+        return Outcome(subject, check, "exempt", subject.vendor.exempt[check.name])
+    try:
+        waiting = check.run(subject)
+        if inspect.isawaitable(waiting):
+            await waiting
+    except CheckFailed as failure:
+        return Outcome(subject, check, "failed", str(failure))
+    except Exception as error:  # noqa: BLE001 - whatever a plugin raises is the author's to see, and no reason to stop
+        return Outcome(subject, check, "failed", f"{type(error).__name__}: {error}: the plugin must not raise this")
+    return Outcome(subject, check, "passed")
+
+
+async def run(of: Iterable[Subject]) -> AsyncIterator[Outcome]:
+    """Run every check over some protocols, in the order of the table."""
+    for subject in of:
+        for check in CHECKS:
+            yield await perform(check, subject)

@@ -1,0 +1,179 @@
+"""Checks of what a plugin sends: nothing outside its allow-list, and never a second request before the answer."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import cast
+
+import msgspec
+from msgspec import inspect
+
+from gateway.api.decoder import Decoder, Event, Frame, Refused, Reject
+from gateway.api.model import Quality
+from gateway.testing.streams import frames
+from gateway.testing.subject import CheckFailed, Subject
+
+_PATIENCE = 200  # ticks: more than any grace that a decoder may grant
+_WALK = 3_000  # random steps of a session
+
+
+def only_allowed_bytes_are_sent(subject: Subject) -> None:
+    """Whatever is sent, at any time and with any option, is matched whole by a pattern of Protocol.outgoing."""
+    for options in option_variants(subject.protocol.options):
+        decoder = subject.protocol.decoder(options)
+        _check_sent(subject, decoder.outgoing(), "first bytes")
+        for number in range(_PATIENCE):
+            vector = subject.vectors[number % len(subject.vectors)]
+            decoder.feed(vector.raw[: len(vector.raw) // 2] if number % 7 == 0 else vector.raw)
+            _check_sent(subject, decoder.outgoing(), "bytes owed")
+            asked = decoder.tick()
+            if not isinstance(asked, Refused):
+                _check_sent(subject, asked, "request")
+        _check_sent(subject, decoder.goodbye(), "bytes before the close")
+
+
+def one_request_is_outstanding(subject: Subject) -> None:
+    """A polled decoder sends the next request only after the answer to the last; a pushed one never asks."""
+    decoder, answer = _session(subject), subject.sessions[0][0].raw
+    if subject.protocol.request is None:
+        if any(decoder.tick() and not subject.protocol.outgoing for _ in range(_PATIENCE)):
+            raise CheckFailed("a protocol that pushes asks for frames: state its request, or send nothing")
+        return
+    _expect_request(decoder, "first")
+    events: list[Event] = []
+    for number in range(len(answer)):
+        _expect_silence(decoder, f"{number} bytes of the answer have come")
+        events = decoder.feed(answer[number : number + 1])
+    if not frames(events):
+        raise CheckFailed(
+            "the whole answer, byte by byte, gives no frame: wait for the length that the header promises"
+        )
+    _expect_request(decoder, "next")
+    damaged = decoder.feed(b"\0" * len(answer))
+    if frames(damaged):
+        raise CheckFailed("zeros are taken for the answer: check the header")
+    _expect_silence(decoder, "the answer was damaged")
+
+
+def skipped_frames_answer_nothing(subject: Subject) -> None:
+    """A known frame without state answers no request and changes no frame."""
+    if subject.protocol.request is None:
+        return
+    answer = subject.sessions[0][0].raw
+    for vector in subject.skipped:
+        decoder = _session(subject)
+        _expect_request(decoder, "first")
+        if frames(decoder.feed(vector.raw)):
+            raise CheckFailed(f"{vector} gives a frame: it carries no state")
+        _expect_silence(decoder, f"{vector} has come, which carries no state")
+        if [frame.raw for frame in frames(decoder.feed(answer))] != [answer]:
+            raise CheckFailed(f"after {vector} the answer is lost: a skipped frame must change nothing")
+
+
+def unrequested_frames_end_the_session(subject: Subject) -> None:
+    """A frame that nobody asked for, a second answer, or bytes that stay unexplained mean: out of step."""
+    if subject.protocol.request is None:
+        return
+    for session in subject.sessions:
+        answer = session[0].raw
+        _expect_refusal(_session(subject).feed(answer), 0, "a frame that nobody asked for")
+        decoder = _session(subject)
+        _expect_request(decoder, "first")
+        _expect_refusal(decoder.feed(answer + answer), 1, "a second answer behind the first")
+        for size in (1, len(answer) // 2, len(answer) - 1):
+            decoder = _session(subject)
+            decoder.feed(answer[:size])
+            asked = [decoder.tick() for _ in range(_PATIENCE)]
+            sent = [one for one in asked if not isinstance(one, Refused) and one]
+            if sent:
+                raise CheckFailed(f"{size} bytes of a frame that nobody asked for came, and a request is sent into it")
+            if not any(isinstance(one, Refused) and one.kind == "out_of_step" for one in asked):
+                raise CheckFailed(f"{size} bytes that nobody asked for stay unexplained for ever: refuse, out_of_step")
+
+
+def requests_never_outrun_answers(subject: Subject) -> None:
+    """In a long random session, cut anyhow and with junk, requests never outnumber answers by more than one."""
+    if subject.protocol.request is None:
+        return
+    chance = subject.random()
+    waiting = b""
+    decoder, asked, answered = _session(subject), 0, 0
+    for step in range(_WALK):
+        what = chance.randrange(8)
+        if what <= 1 and asked == answered + 1 and not waiting:
+            waiting = chance.choice(subject.sessions[0]).raw
+        elif what == 2 and subject.skipped and not waiting:  # noqa: PLR2004 - one of eight things that happen
+            waiting = chance.choice(subject.skipped).raw
+        elif what <= 4:  # noqa: PLR2004 - the same
+            size = chance.randint(1, 400)
+            answered += len(frames(decoder.feed(waiting[:size])))
+            waiting = waiting[size:]
+        else:
+            request = decoder.tick()
+            if isinstance(request, Refused):
+                decoder, asked, answered, waiting = _session(subject), 0, 0, b""
+            elif request:
+                asked += 1
+        if asked > answered + 1:
+            raise CheckFailed(f"at step {step} {asked} requests are sent for {answered} answers: wait for each answer")
+
+
+def option_variants(options: type[msgspec.Struct]) -> Iterator[msgspec.Struct]:
+    """A protocol's default options, and each option in turn at every value, or at both ends, that it may have."""
+    yield options()
+    info = inspect.type_info(options)
+    for field in cast("inspect.StructType", info).fields:
+        for value in _values(field.type):
+            yield msgspec.convert({field.encode_name: value}, options)
+
+
+def _values(type_: inspect.Type) -> list[object]:
+    if isinstance(type_, inspect.Metadata):
+        return _values(type_.type)
+    if isinstance(type_, inspect.UnionType):
+        return [value for one in type_.types for value in _values(one)]
+    if isinstance(type_, inspect.LiteralType):
+        return list(type_.values)
+    if isinstance(type_, inspect.EnumType):
+        return [one.value for one in type_.cls]
+    if isinstance(type_, (inspect.IntType, inspect.FloatType)):
+        return [end for end in (type_.ge, type_.le) if end is not None]
+    return [False, True] if isinstance(type_, inspect.BoolType) else []
+
+
+def _session(subject: Subject) -> Decoder:
+    """A decoder of a live session whose handshake, where there is one, is not looked at."""
+    decoder = subject.protocol.decoder(subject.options())
+    decoder.outgoing()
+    return decoder
+
+
+def _check_sent(subject: Subject, sent: bytes, what: str) -> None:
+    if sent and not any(re.fullmatch(pattern, sent, re.DOTALL) for pattern in subject.protocol.outgoing):
+        raise CheckFailed(
+            f"{what} {sent!r} are not in Protocol.outgoing: the gateway only reads; add a pattern if reading needs it",
+        )
+
+
+def _expect_request(decoder: Decoder, which: str) -> None:
+    request = decoder.tick()
+    if not isinstance(request, bytes) or not request:
+        raise CheckFailed(f"the {which} tick asks for nothing ({request!r}): return the request")
+
+
+def _expect_silence(decoder: Decoder, when: str) -> None:
+    for _ in range(3):
+        asked = decoder.tick()
+        if asked != b"":
+            raise CheckFailed(f"a second request leaves while {when}: a late answer would be taken for the next one")
+
+
+def _expect_refusal(events: list[Event], good: int, what: str) -> None:
+    refused = [event for event in events if isinstance(event, Refused) and event.kind == "out_of_step"]
+    rejected = [event for event in events if isinstance(event, Reject)]
+    found = [event for event in events if isinstance(event, Frame) and event.quality is not Quality.BAD]
+    if len(found) != good or not refused or not rejected:
+        raise CheckFailed(
+            f"{what} gives {', '.join(map(str, events)) or 'nothing'}: reject it and refuse the session as out_of_step",
+        )
