@@ -24,6 +24,7 @@ Table = dict[str, object]
 
 _POSITION = re.compile(r"\(at line (\d+), column (\d+)\)$")
 _SHOWN = 60  # characters of a wrong value
+_WIDEST = 128  # bits of a number that is shown; Python refuses to print the widest
 
 
 class Problems:
@@ -83,16 +84,13 @@ def key(path: Path) -> str:
 
 def quoted(value: object) -> str:
     """A wrong value as it stands in the file, shortened."""
+    if isinstance(value, int) and value.bit_length() > _WIDEST:
+        return "this number"
     try:
         text = json.dumps(value, ensure_ascii=False)
     except (TypeError, ValueError):
         text = str(value)
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…"
-
-
-def listed(values: Iterable[object]) -> str:
-    """Several values, quoted: for the end of a sentence."""
-    return ", ".join(quoted(value) for value in values)
 
 
 def nearest(word: str, words: Iterable[str]) -> str | None:
@@ -122,6 +120,8 @@ def read_toml(text: str, file: str) -> tuple[Table, Problems]:
         raise ConfigError(f"{file}: arrays or tables are nested too deeply") from None
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(_syntax(text, file, where, str(error))) from error
+    except ValueError as error:  # a number of thousands of digits
+        raise ConfigError(f"{file}: {error}") from error
 
 
 def _syntax(text: str, file: str, where: Lines, reason: str) -> str:

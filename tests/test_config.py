@@ -298,6 +298,8 @@ def test_everything_that_is_wrong_is_told_at_once_in_the_order_of_the_file() -> 
         ("[server]\nlisten = 10.0.2.7:1", "g.toml:2: listen: no valid TOML at column 14: "),
         ("host = abc", "text stands in quotes, numbers do not"),
         ("a = [1,\n2", "g.toml:2: 2: no valid TOML at column 2: "),
+        (f"x = {'1' * 5000}", "g.toml: Exceeds the limit"),
+        (f"[server]\nevent_ring = 0x{'f' * 9000}", "g.toml:2: server.event_ring: this number is not a whole number"),
         ("x = " + "[" * 9000, "g.toml: arrays or tables are nested too deeply"),
         (f"{ROBOT}host = 'x'", "g.toml:5: robots.host: is there twice, first in line 4; remove one"),
         ("[server]\n\n[server]", "g.toml:3: server: is there twice, first in line 1; remove one"),

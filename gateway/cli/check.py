@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
+from gateway.cli.common import tell
 from gateway.config import find_config, load
 from gateway.config_print import as_toml, json_schema
 from gateway.core.registry import Registry
@@ -36,10 +37,11 @@ def check(
     Nothing is connected. Exit code 0: it can be used, perhaps with warnings; 78: it cannot, and every problem is named
     with its line.
 
-    Example: robot-gateway check /etc/robot-gateway/gateway.toml
-
-    Example: robot-gateway check --schema > gateway.schema.json
-    """
+    \b
+    Examples:
+      robot-gateway check /etc/robot-gateway/gateway.toml
+      robot-gateway check --schema > gateway.schema.json
+    """  # noqa: D301  \b tells click to leave the lines as they are
     try:
         if schema:
             registry = load(file).registry if file else Registry()
@@ -50,18 +52,14 @@ def check(
         fail(error)
     typer.echo(as_toml(config), nl=False)
     for warning in config.warnings:
-        tell(f"warning: {warning}", "yellow")
+        tell("warning:", "yellow", warning)
     n_robots = len(config.robots)
-    tell(f"{config.file}: valid, {n_robots} robot{'' if n_robots == 1 else 's'}", "green")
+    tell("valid:", "green", f"{config.file}, {n_robots} robot{'' if n_robots == 1 else 's'}")
 
 
 def fail(error: ConfigError) -> NoReturn:
     """Print every problem and end with the exit code of a wrong configuration."""
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
     for problem in error.problems:
-        tell(problem, "red")
+        console.print(Text(problem, "red"))
     raise typer.Exit(EX_CONFIG)
-
-
-def tell(text: str, colour: str) -> None:
-    """Print one line on stderr, in colour where that is a terminal."""
-    Console(stderr=True, highlight=False, soft_wrap=True).print(Text(text, colour))

@@ -59,12 +59,12 @@ def vendors(
     The first protocol of a vendor is the one a robot gets without a `protocol` key. A broken vendor is listed with the
     reason. Exit code 78: a folder may not be used, because it is missing or others may write to it.
 
-    Example: robot-gateway vendors
-
-    Example: robot-gateway vendors --vendor-dir /etc/robot-gateway/vendors
-
-    Example: robot-gateway vendors --json
-    """
+    \b
+    Examples:
+      robot-gateway vendors
+      robot-gateway vendors --vendor-dir /etc/robot-gateway/vendors
+      robot-gateway vendors --json
+    """  # noqa: D301  \b tells click to leave the lines as they are
     try:
         registry = Registry(vendor_dir or ())
     except ConfigError as error:

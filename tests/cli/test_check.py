@@ -35,7 +35,7 @@ def test_a_good_file_comes_back_with_every_default_and_nothing_else_on_stdout(ap
     printed = tomllib.loads(result.stdout)
     assert printed["server"] == {"listen": "127.0.0.1:8765", "flush_ms": 2.0, "event_ring": 10000}
     assert printed["robots"][0]["rate_hz"] == 50.0
-    assert result.stderr == f"{path}: valid, 1 robot\n"
+    assert result.stderr == f"valid: {path}, 1 robot\n"
 
 
 def test_every_problem_is_one_line_on_stderr_and_the_exit_code_is_78(app: typer.Typer, tmp_path: Path) -> None:
@@ -70,7 +70,7 @@ def test_a_broken_vendor_is_a_warning(app: typer.Typer, tmp_path: Path) -> None:
     result = CliRunner().invoke(app, [str(path)])
     assert result.exit_code == 0
     assert result.stderr.startswith(f"warning: {path}:8: robots.vendor: this robot is off, its vendor is broken: ")
-    assert result.stderr.endswith("valid, 2 robots\n")
+    assert result.stderr.endswith(f"valid: {path}, 2 robots\n")
     assert "# off, the vendor is broken" in result.stdout
 
 

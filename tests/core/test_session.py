@@ -1,0 +1,175 @@
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+import anyio
+import pytest
+
+from gateway.api.decoder import Event, Frame, Reject, Skipped
+from gateway.api.vendor import OnStale
+from gateway.core.session import Session
+from gateway.errors import LinkClosed, LinkError, LinkRefused, LinkStale
+from tests.core import toy
+from tests.core.fakes import FakeConnection, LoopClock, run_jumping
+
+
+class Log:
+    """A sink that keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.events: list[Event] = []
+        self.silences: list[str] = []
+        self.frames_s: list[float] = []
+
+    def received(self, n_bytes: int, events: Sequence[Event], at_s: float, decode_s: float) -> None:
+        assert n_bytes >= 0
+        assert decode_s >= 0
+        self.events += events
+        self.frames_s += [at_s for event in events if isinstance(event, Frame)]
+
+    def silent(self, reason: str) -> None:
+        self.silences.append(reason)
+
+
+def session(connection: FakeConnection, log: Log, *, pushed: bool = False, on_stale: OnStale = "close") -> Session:
+    protocol = toy.PUSHED if pushed else toy.POLLED
+    return Session(
+        connection,
+        protocol.decoder(protocol.options()),
+        log,
+        period_s=None if pushed else 0.1,
+        stale_s=1.0,
+        on_stale=on_stale,
+        clock=LoopClock(),
+    )
+
+
+def lost(run: Callable[[Log], tuple[FakeConnection, Session]]) -> tuple[LinkError, Log, FakeConnection]:
+    """Run a session until it is lost."""
+    log = Log()
+    ended: list[tuple[LinkError, FakeConnection]] = []
+
+    async def main() -> None:
+        connection, one = run(log)
+        with pytest.raises(LinkError) as caught:
+            await one.run()
+        ended.append((caught.value, connection))
+
+    run_jumping(main)
+    return ended[0][0], log, ended[0][1]
+
+
+def answering(answer: Callable[[bytes], Iterable[bytes]], delay_s: float = 0.001) -> tuple[LinkError, Log, FakeConnection]:
+    def run(log: Log) -> tuple[FakeConnection, Session]:
+        connection = FakeConnection(answer, delay_s)
+        return connection, session(connection, log)
+
+    return lost(run)
+
+
+def for_a_while(count: int, *then: bytes) -> Callable[[bytes], Iterable[bytes]]:
+    """Answer so many requests, then with something else for ever."""
+    left = iter(range(count))
+    return lambda _: (toy.frame(),) if next(left, None) is not None else then
+
+
+def test_requests_leave_at_the_period_exactly() -> None:
+    _, log, connection = answering(for_a_while(100))
+    assert set(connection.sent) == {b"ask"}
+    assert len(log.frames_s) == 100
+    assert log.frames_s[-1] - log.frames_s[0] == pytest.approx(9.9, abs=0.005)
+
+
+def test_a_late_answer_delays_the_next_request_and_none_is_sent_meanwhile() -> None:
+    _, log, connection = answering(for_a_while(10), delay_s=0.25)
+    assert len(log.frames_s) == 10
+    assert len(connection.sent) == 11
+    gaps = [after - before for before, after in zip(log.frames_s, log.frames_s[1:], strict=False)]
+    assert gaps == pytest.approx([0.25] * 9, abs=0.01)
+
+
+def test_a_lost_answer_ends_a_polled_session_after_stale_s_without_a_second_request() -> None:
+    error, log, connection = answering(for_a_while(3))
+    assert isinstance(error, LinkStale)
+    assert error.reason == "no good frame for 1 s"
+    assert len(connection.sent) == len(log.frames_s) + 1
+
+
+def test_a_session_that_never_got_a_byte_says_so() -> None:
+    error, _, _ = answering(lambda _: ())
+    assert error.reason == "connected, but not one byte came within 1 s"
+
+
+def test_a_session_of_wrong_bytes_names_the_last_reject() -> None:
+    error, _, _ = answering(lambda _: (b"HTTP/1.1 400 Bad Request\r\n\r\n",))
+    assert error.reason == "connected, 28 bytes came, but no good frame; last reject: junk"
+
+
+def test_half_a_frame_and_then_silence_says_what_the_header_promised() -> None:
+    error, log, _ = answering(lambda _: (toy.frame()[:9],))
+    assert "truncated (the header promises 20 bytes, 9 came)" in error.reason
+    assert [event.reason for event in log.events if isinstance(event, Reject)] == ["truncated"]
+
+
+def test_a_frame_that_nobody_asked_for_ends_the_session_as_out_of_step() -> None:
+    error, log, _ = answering(lambda _: (toy.frame() + toy.frame(angle=9.0),))
+    assert isinstance(error, LinkRefused)
+    assert error.kind == "out_of_step"
+    assert [type(event) for event in log.events[:2]] == [Frame, Reject]
+
+
+def test_skipped_frames_neither_answer_a_request_nor_keep_a_session_alive() -> None:
+    error, log, connection = answering(lambda _: (toy.OTHER, toy.OTHER))
+    assert isinstance(error, LinkStale)
+    assert [type(event) for event in log.events] == [Skipped, Skipped]
+    assert len(connection.sent) == 1
+
+
+def test_the_end_of_the_stream_ends_the_session() -> None:
+    def run(log: Log) -> tuple[FakeConnection, Session]:
+        connection = FakeConnection()
+        connection.push(toy.frame()[:5])
+        connection.end()
+        return connection, session(connection, log, pushed=True)
+
+    error, log, _ = lost(run)
+    assert isinstance(error, LinkClosed)
+    assert [event.reason for event in log.events if isinstance(event, Reject)] == ["truncated"]
+
+
+def test_a_kept_session_goes_stale_and_comes_back_without_a_new_connection() -> None:
+    log = Log()
+
+    async def main() -> None:
+        connection = FakeConnection()
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(session(connection, log, pushed=True, on_stale="keep").run)
+            connection.push(toy.frame())
+            await anyio.sleep(5)
+            assert log.silences == ["no good frame for 1 s"]
+            connection.push(b"junk" + toy.frame())
+            await anyio.sleep(0.5)
+            assert len(log.frames_s) == 2
+            await anyio.sleep(5)
+            assert len(log.silences) == 2
+            assert not connection.closed
+            assert connection.sent == []
+            tasks.cancel_scope.cancel()
+
+    run_jumping(main)
+
+
+def test_good_frames_keep_moving_the_deadline_on() -> None:
+    log = Log()
+
+    async def main() -> None:
+        connection = FakeConnection()
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(session(connection, log, pushed=True).run)
+            for _ in range(50):
+                connection.push(toy.frame())
+                await anyio.sleep(0.9)
+            tasks.cancel_scope.cancel()
+
+    run_jumping(main)
+    assert len(log.frames_s) == 50
