@@ -130,7 +130,7 @@ class _Words:
     def __init__(self, layout: Layout, sources: Iterable[str]) -> None:
         self.layout = layout
         used = {find_source(layout, source)[0].name for source in sources}
-        self.fields = [field for field in layout.fields if field.name in used and field.present]
+        self.fields = _wire_order(field for field in layout.fields if field.name in used and field.present)
         self.struct = _struct(layout, self.fields)
         names = iter(f"v{number}" for number in range(sum(field.present for field in self.fields)))
         self._refs = {field.name: [next(names) for _ in range(field.present)] for field in self.fields}
@@ -152,6 +152,11 @@ class _Words:
         return [None if ref is None else ref if flag is None else _flag(ref, flag) for ref in self.whole(field)]
 
 
+def _wire_order(fields: Iterable[Field]) -> list[Field]:
+    """The order in which one struct unpacks them, whatever the order of the table."""
+    return sorted(fields, key=lambda field: field.offset)
+
+
 def _struct(layout: Layout, fields: Sequence[Field]) -> struct.Struct:
     """One struct that unpacks the present elements of some fields, in the order of the table."""
     return _packing(layout, fields, {})
@@ -159,7 +164,7 @@ def _struct(layout: Layout, fields: Sequence[Field]) -> struct.Struct:
 
 def _packing(layout: Layout, fields: Sequence[Field], codes: Mapping[str, str]) -> struct.Struct:
     parts, at = [layout.byteorder], 0
-    for field in sorted(fields, key=lambda field: field.offset):
+    for field in _wire_order(fields):
         gap = field.offset - at
         parts.append(f"{gap}x" if gap else "")
         parts.append(f"{field.present}{codes.get(field.type, TYPES[field.type][0])}")
@@ -386,7 +391,7 @@ def _compile_key(layout: Layout, sources: Iterable[str]) -> ReadKey:
         field, flag = find_source(layout, source)
         whole = (1 << 8 * field.item_size) - 1
         masks[field.name] = masks.get(field.name, 0) | (whole if flag is None else flag.mask << flag.bit)
-    fields = [field for field in layout.fields if field.name in masks and field.present]
+    fields = _wire_order(field for field in layout.fields if field.name in masks and field.present)
     refs: list[str] = []
     parts: list[str] = []
     for field in fields:

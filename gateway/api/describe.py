@@ -60,9 +60,7 @@ def never_told(group: str, rows: Sequence[Signal]) -> list[str]:
         return []
     told = [".".join(row.path) for row in rows]
     return [
-        key
-        for key in keys_of(struct)
-        if key != "substituted" and not any(_same_branch(key, known) for known in told)
+        key for key in keys_of(struct) if key != "substituted" and not any(_same_branch(key, known) for known in told)
     ]
 
 

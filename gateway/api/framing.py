@@ -144,9 +144,13 @@ class FramedDecoder:
         reason = detail = ""
         while at < size:
             found = buffer.find(self._framing.magic, at)
+            if found < 0:
+                found = _partial_magic(buffer, self._framing.magic, at)
+                if found == at:
+                    break  # the rest of the magic may follow
             if found != at:
                 reason = reason or "junk"
-                at = _partial_magic(buffer, self._framing.magic, at) if found < 0 else found
+                at = found
                 continue
             outcome = self._frame_at(buffer, at)
             if outcome is None:

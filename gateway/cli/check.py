@@ -13,7 +13,7 @@ from rich.text import Text
 
 from gateway.cli.common import tell
 from gateway.config import find_config, load
-from gateway.config_print import as_toml, json_schema
+from gateway.config.printing import as_toml, json_schema
 from gateway.core.registry import Registry
 from gateway.errors import ConfigError
 

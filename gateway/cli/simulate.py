@@ -113,7 +113,7 @@ def _common(
     host: Annotated[str, typer.Option(help="Address of the first controller; the others follow it.")] = "127.0.0.2",
     port: Annotated[
         int | None,
-        typer.Option(min=0, max=65535, help="Main port; 0 lets the system choose. [default: the vendor's]"),
+        typer.Option(min=0, max=65535, help="Main port, the vendor's if not given; 0 lets the system choose."),
     ] = None,
     count: Annotated[int, typer.Option(min=1, help="How many controllers, on consecutive addresses.")] = 1,
     scenario: Annotated[str, typer.Option(help="What happens to the robots: one of those above.")] = "cell",

@@ -47,10 +47,12 @@ def tail(
         str | None,
         typer.Option(metavar="F,F…", help="Only these fields of the data, such as position,current."),
     ] = None,
-    format_: Annotated[Format, typer.Option("--format", "-f", help="table: for people; json, csv: a line a sample.")] = (
-        Format.TABLE
-    ),
-    count: Annotated[int | None, typer.Option("--count", "-n", min=1, help="End after so many samples or events.")] = None,
+    format_: Annotated[
+        Format, typer.Option("--format", "-f", help="table: for people; json, csv: a line a sample.")
+    ] = (Format.TABLE),
+    count: Annotated[
+        int | None, typer.Option("--count", "-n", min=1, help="End after so many samples or events.")
+    ] = None,
     since: Annotated[
         str | None,
         typer.Option(metavar="BOOT:SEQ", help="Events after this one first, as far as they are kept."),

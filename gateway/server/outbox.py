@@ -101,7 +101,9 @@ class Subscription:
         if self.wish.period_s is not None:  # slots that passed while the client could not be written to
             lost = int((self._outbox.now() - self.due_s) / self.wish.period_s)
             if lost > 0:
-                self._outbox.missed.update({topic.name: lost for topic in self.newest if topic.group.delivery == "sample"})
+                self._outbox.missed.update(
+                    {topic.name: lost for topic in self.newest if topic.group.delivery == "sample"}
+                )
         encoded = self.wish.cut.encoded
         parts = [encoded(topic, reading) for topic, reading in self.newest.items()]
         parts += [encoded(topic, reading) for topic, reading in self.queue]
@@ -202,7 +204,7 @@ class Outbox:
             if self._due_s <= now_s:
                 return
             self._wake = anyio.Event()
-            with anyio.CancelScope(deadline=self._due_s):
+            with anyio.CancelScope(deadline=math.ceil(self._due_s * 1000) / 1000):
                 await self._wake.wait()
 
     def collect(self) -> list[bytes]:

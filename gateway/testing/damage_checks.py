@@ -87,11 +87,11 @@ def _check_header(subject: Subject, vector: Vector, hurt: bytes, good: Vector, a
     before = good.raw if len(good.raw) == len(vector.raw) or vector.layout is None else b""
     for lead in {before, b""}:
         start = len(lead)
-        stream = lead + hurt + good.raw * count
+        parts = [lead, hurt, *[good.raw] * count]
         decoder = subject.protocol.reader()
-        events = feed_all(decoder, [stream])
+        events = feed_all(decoder, parts)
         where = f"{vector} with byte {at} changed to 0x{hurt[at]:02x}{'' if lead else ', first in its session'}"
-        check_conserved(stream, events, decoder.end(), f"whole ({where})")
+        check_conserved(b"".join(parts), events, decoder.end(), f"frame by frame ({where})")
         found = [place for place in placed(events) if isinstance(place.event, Frame)]
         spans = [(0, start)] if lead else []
         spans += [(start, start + len(hurt))]

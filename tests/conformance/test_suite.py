@@ -70,21 +70,22 @@ def with_field(subject: Subject, name: str, change: Callable[[Field], Field]) ->
 def with_flag(subject: Subject, field: str, name: str, **changes: object) -> Subject:
     """A copy in whose tables one flag differs."""
 
+    def differing(flag: Flag) -> Flag:
+        return dataclasses.replace(flag, **changes) if flag.name == name else flag  # type: ignore[arg-type] # the same
+
     def changed(field: Field) -> Field:
-        flags: list[Flag] = []
-        for flag in field.flags:
-            flags.append(dataclasses.replace(flag, **changes) if flag.name == name else flag)  # type: ignore[arg-type]
-        return dataclasses.replace(field, flags=tuple(flags))
+        return dataclasses.replace(field, flags=tuple(map(differing, field.flags)))
 
     return with_field(subject, field, changed)
 
 
-def with_signal(subject: Subject, key: str, **changes: object) -> Subject:
+def with_signal(subject: Subject, at: str, /, **changes: object) -> Subject:
     """A copy in which one signal row differs."""
-    rows: list[Signal] = []
-    for row in subject.protocol.signals:
-        rows.append(dataclasses.replace(row, **changes) if row.key == key else row)  # type: ignore[arg-type]
-    return with_protocol(subject, signals=tuple(rows))
+
+    def differing(row: Signal) -> Signal:
+        return dataclasses.replace(row, **changes) if row.key == at else row  # type: ignore[arg-type] # the same
+
+    return with_protocol(subject, signals=tuple(map(differing, subject.protocol.signals)))
 
 
 def with_reader(subject: Subject, decoder: type[FramedDecoder]) -> Subject:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from gateway.config_keys import RobotTable, Server
+from gateway.config.keys import RobotTable, Server
 from gateway.core.settings import RobotSettings
 from gateway.errors import VendorError
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from gateway.api.vendor import Protocol, Vendor
-    from gateway.config import Config
+    from gateway.config.file import Config
     from gateway.core.registry import Registry
     from gateway.core.settings import BrokenRobot
 

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from gateway.config_keys import TOP_KEYS, Server
-from gateway.config_problems import Problems, fault_of, hint, quoted, read_fields, read_toml
-from gateway.config_robots import Robots
+from gateway.config.keys import TOP_KEYS, Server
+from gateway.config.problems import Problems, fault_of, hint, quoted, read_fields, read_toml
+from gateway.config.robots import Robots
 from gateway.core.registry import Registry
 from gateway.core.settings import BrokenRobot, RobotSettings
 from gateway.errors import ConfigError

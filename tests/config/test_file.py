@@ -9,8 +9,8 @@ import msgspec
 import pytest
 
 from gateway.config import Config, find_config, load, parse
-from gateway.config_keys import Server
-from gateway.config_print import as_toml
+from gateway.config.keys import Server
+from gateway.config.printing import as_toml
 from gateway.core.registry import Registry
 from gateway.core.settings import BrokenRobot, RobotSettings
 from gateway.errors import ConfigError

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from gateway.api.vendor import Vendor
-from gateway.config_keys import STALE_PERIODS, RobotTable, host_fault
-from gateway.config_problems import hint, quoted, read_fields
+from gateway.config.keys import STALE_PERIODS, RobotTable, host_fault
+from gateway.config.problems import hint, quoted, read_fields
 from gateway.core.registry import Registry
 from gateway.core.settings import BrokenRobot, RobotSettings
 from gateway.errors import UnknownVendor, VendorError
 
 if TYPE_CHECKING:
     from gateway.api.vendor import Protocol
-    from gateway.config_problems import Problems, Table
-    from gateway.toml_lines import Path
+    from gateway.config.problems import Problems, Table
+    from gateway.config.toml_lines import Path
 
 _KEYS = tuple(field.encode_name for field in msgspec.structs.fields(RobotTable))
 

@@ -13,11 +13,11 @@ import jsonschema
 import pytest
 
 from gateway.config import load
-from gateway.config_print import as_toml, json_schema
+from gateway.config.printing import as_toml, json_schema
 from gateway.core.registry import Registry
 from gateway.core.settings import RobotSettings
 
-FOLDER = Path(__file__).parents[1] / "config"
+FOLDER = Path(__file__).parents[2] / "config"
 ROBOT = {"name": "r", "vendor": "rainbow", "host": "h"}
 
 

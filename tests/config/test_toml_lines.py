@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.toml_lines import Path, lines
+from gateway.config.toml_lines import Path, lines
 
 
 def paths(value: object, path: Path = ()) -> Iterator[Path]:

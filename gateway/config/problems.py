@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 import msgspec
 from msgspec import inspect
 
+from gateway.config.toml_lines import KEY, Lines, lines
 from gateway.errors import ConfigError
-from gateway.toml_lines import KEY, Lines, lines
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from gateway.toml_lines import Path
+    from gateway.config.toml_lines import Path
 
 Table = dict[str, object]
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from gateway.config_problems import quoted
+from gateway.config.problems import quoted
 from gateway.core.settings import EstopPolarity
 
 TOP_KEYS = ("vendor_dirs", "server", "robots")
