@@ -17,6 +17,7 @@ from contextlib import asynccontextmanager
 from typing import TypeVar
 
 import aiohttp
+import anyio
 import msgspec
 
 from gateway.api import messages
@@ -24,8 +25,11 @@ from gateway.api.model import Event, Sample
 from gateway.errors import GatewayError
 
 _CONNECT_S = 3.0
+_HEARTBEAT_S = 30.0
+_CLOSE_S = 1.0
 _ENCODER = msgspec.json.Encoder()
 _DECODER: msgspec.json.Decoder[messages.Response] = msgspec.json.Decoder(messages.Response)
+_NOT_A_GATEWAY = "it answers, but not as a gateway does: is this the right port?"
 Pushed = messages.Data | messages.EventMessage | messages.Missed
 _Part = TypeVar("_Part")
 
@@ -63,12 +67,23 @@ class Client:
         welcome: What the gateway said first.
     """
 
-    def __init__(self, socket: aiohttp.ClientWebSocketResponse, url: str, welcome: messages.Welcome) -> None:
+    def __init__(self, socket: aiohttp.ClientWebSocketResponse, url: str) -> None:
         self._socket = socket
         self._url = url
         self._ids = itertools.count(1)
         self._waiting: deque[Pushed] = deque()
-        self.welcome = welcome
+        self.welcome: messages.Welcome
+
+    async def greet(self) -> None:
+        """Take the gateway's first message.
+
+        Raises:
+            ClientError: It is no welcome.
+        """
+        first = await self._receive()
+        if not isinstance(first, messages.Welcome):
+            raise ClientError(self._url, _NOT_A_GATEWAY)
+        self.welcome = first
 
     async def robots(self) -> list[messages.RobotInfo]:
         """Every robot with the state of its link."""
@@ -132,7 +147,10 @@ class Client:
             RequestError: It was refused.
             ClientError: The connection has ended.
         """
-        await self._socket.send_str(_ENCODER.encode(request).decode())
+        try:
+            await self._socket.send_str(_ENCODER.encode(request).decode())
+        except ConnectionError:
+            raise ClientError(self._url, "the connection has ended: the gateway has gone") from None
         while True:
             message = await self._receive()
             if isinstance(message, messages.Result) and message.id == request.id:
@@ -147,7 +165,10 @@ class Client:
         if message.type is not aiohttp.WSMsgType.TEXT:
             reason = message.extra if isinstance(message.extra, str) and message.extra else "the gateway has gone"
             raise ClientError(self._url, f"the connection has ended: {reason}")
-        return _DECODER.decode(message.data)
+        try:
+            return _DECODER.decode(message.data)
+        except msgspec.DecodeError:
+            raise ClientError(self._url, _NOT_A_GATEWAY) from None
 
 
 @asynccontextmanager
@@ -160,31 +181,49 @@ async def connect(url: str) -> AsyncIterator[Client]:
     Raises:
         ClientError: It cannot be reached.
     """
-    timeout = aiohttp.ClientTimeout(total=None, connect=_CONNECT_S)
-    async with aiohttp.ClientSession(timeout=timeout) as session:
-        try:
-            socket = await session.ws_connect(
-                url,
-                protocols=(messages.JSON_SUBPROTOCOL,),
-                max_msg_size=0,
-                heartbeat=_CONNECT_S * 10,
-            )
-        except aiohttp.WSServerHandshakeError as error:
-            raise ClientError(url, f"refused with HTTP status {error.status}") from None
-        except (aiohttp.ClientError, TimeoutError, OSError, ValueError) as error:
-            raise ClientError(url, _advice(error)) from None
+    async with aiohttp.ClientSession(timeout=aiohttp.ClientTimeout(total=None)) as session:
+        with anyio.move_on_after(_CONNECT_S) as patience:
+            client, socket = await _open(session, url)
+        if patience.cancelled_caught:
+            raise ClientError(url, f"no gateway answers: nothing came within {_CONNECT_S:g} s; is this the right port?")
         async with socket:
-            message = await socket.receive()
-            first = _DECODER.decode(message.data) if message.type is aiohttp.WSMsgType.TEXT else None
-            if not isinstance(first, messages.Welcome):
-                raise ClientError(url, "it answers, but not as a gateway does")
-            yield Client(socket, url, first)
+            yield client
+
+
+async def _open(session: aiohttp.ClientSession, url: str) -> tuple[Client, aiohttp.ClientWebSocketResponse]:
+    try:
+        socket = await session.ws_connect(
+            url,
+            protocols=(messages.JSON_SUBPROTOCOL,),
+            max_msg_size=0,
+            heartbeat=_HEARTBEAT_S,
+            timeout=aiohttp.ClientWSTimeout(ws_close=_CLOSE_S),
+        )
+    except (aiohttp.ClientError, OSError, ValueError) as error:
+        raise ClientError(url, _advice(error)) from None
+    client = Client(socket, url)
+    await client.greet()
+    return client, socket
 
 
 def _advice(error: Exception) -> str:
-    if isinstance(error, aiohttp.ClientConnectorError):
-        return "no gateway answers: start one with `robot-gateway run`, or name another with --url"
-    return f"no gateway answers: {error or type(error).__name__}"
+    """Say why a gateway cannot be reached, and what to do."""
+    match error:
+        case aiohttp.InvalidURL() | ValueError():
+            return "not an address of a gateway; one looks like ws://127.0.0.1:8765/ws"
+        case aiohttp.WSServerHandshakeError(status=404):
+            return "a server answers, but it has no such door (HTTP 404): the path of a gateway is /ws"
+        case aiohttp.WSServerHandshakeError(status=403):
+            return "the gateway refuses this address (HTTP 403): use localhost or 127.0.0.1 on the same machine"
+        case aiohttp.WSServerHandshakeError():
+            return f"refused with HTTP status {error.status}: is this the right port and path?"
+        case aiohttp.ClientSSLError():
+            return "it does not speak TLS: use ws:// instead of wss://"
+        case aiohttp.ClientConnectorDNSError():
+            return "there is no host of that name"
+        case aiohttp.ClientConnectorError():
+            return "no gateway answers: start one with `robot-gateway run`, or name another with --url"
+    return _NOT_A_GATEWAY
 
 
 def _part(part: _Part | None) -> _Part:

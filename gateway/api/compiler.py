@@ -32,7 +32,7 @@ class Reader:
 
     Attributes:
         read: Takes `raw` and where the layout starts in it; returns the group and whether it held non-finite values.
-        key: The bits that the group's discrete values follow from: while they stay equal, a state topic has nothing new.
+        key: The bits that the group's discrete values follow from: while they stay equal, a state topic has no news.
         quality: The worst quality that the rows themselves state.
         empty: The group with every leaf null.
         volatile: Paths of the leaves that always change.

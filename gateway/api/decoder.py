@@ -68,7 +68,8 @@ class Refused(msgspec.Struct, frozen=True, gc=False):
 
     Attributes:
         reason: What happened, in words for the operator.
-        kind: `out_of_step` (reconnect at once), `incompatible` (no layout explains the frames) or `refused` (login, version).
+        kind: `out_of_step` (reconnect at once), `incompatible` (no layout explains the frames) or `refused` (login,
+            version).
     """
 
     reason: str

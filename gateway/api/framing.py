@@ -213,17 +213,20 @@ class FramedDecoder:
             return "type", f"type {type_}, known are {', '.join(str(known) for known in self._kinds)}"
         if not sizes.allow(total):
             return "size", f"{sizes.kind.name} of {total} bytes, known are {sizes}"
-        carries_state = sizes.longest > 0
-        if carries_state and framing.one_length and self._length not in {None, total}:
+        if sizes.longest and self._length not in {None, total}:
             return "length", f"{sizes.kind.name} of {total} bytes in a session of {self._length} bytes"
         if len(buffer) - at < total:
             return None
-        raw = buffer[at : at + total]
+        return self._whole_frame(sizes, buffer[at : at + total])
+
+    def _whole_frame(self, sizes: _Sizes, raw: bytes) -> Frame | Skipped | _Wrong:
+        """What the bytes that a good header promises are."""
+        framing, total = self._framing, len(raw)
         if framing.tail and not raw.endswith(framing.tail):
             return "tail", f"ends {raw[-len(framing.tail) :].hex(' ')}, expected {framing.tail.hex(' ')}"
         if framing.checksum is not None and not _checksum_holds(framing, framing.checksum, raw):
             return "checksum", f"{sizes.kind.name} of {total} bytes"
-        if not carries_state:
+        if not sizes.longest:
             return Skipped(raw, sizes.kind.name)
         if framing.one_length and self._length is None:
             if any(start < total and raw[start : start + framing.header] in self._headers for start in self._starts):
@@ -238,9 +241,9 @@ class FramedDecoder:
 class Polled:
     """The discipline of a protocol that answers one request with one frame, and numbers neither.
 
-    One request is outstanding, never two: a late answer would be taken for the next one, and every following sample would
-    be one request old. A frame that nobody asked for, or bytes that stay unexplained before the next request, mean that
-    the stream is out of step: only a new session helps.
+    One request is outstanding, never two: a late answer would be taken for the next one, and every following sample
+    would be one request old. A frame that nobody asked for, or bytes that stay unexplained before the next request, mean
+    that the stream is out of step: only a new session helps.
 
     Args:
         decoder: Finds the frames.

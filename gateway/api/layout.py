@@ -1,7 +1,7 @@
 """Payload tables: one table describes a frame, and decodes it, encodes it, and prints its schema and docs.
 
-A `Layout` holds `Field` rows with explicit offsets, and their `Flag` rows name the bits. Reading many frames goes through
-the numpy `dtype` and `read_many`; reading one frame on the hot path is compiled (see `compiler.py`).
+A `Layout` holds `Field` rows with explicit offsets, and their `Flag` rows name the bits. Reading many frames goes
+through the numpy `dtype` and `read_many`; reading one frame on the hot path is compiled (see `compiler.py`).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The native WebSocket protocol, v1: its messages as structs, for the gateway and for clients.
 
-One object per message; `op` is the tag. Subprotocol `robot-gateway.v1+json` sends text frames, `robot-gateway.v1+msgpack`
-binary ones; the messages are the same.
+One object per message; `op` is the tag. Subprotocol `robot-gateway.v1+json` sends text frames,
+`robot-gateway.v1+msgpack` binary ones; the messages are the same.
 """
 
 from __future__ import annotations

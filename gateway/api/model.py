@@ -1,7 +1,7 @@
 """The canonical model: what every robot is told in, whatever its vendor.
 
-SI units (m, rad, s, kg, N, N·m, A, V, K); poses are a position and a unit quaternion (x, y, z, w); arrays are ordered from
-base to flange. Every leaf may be null, and null means "this source cannot tell": it is never 0, and 0 is never null.
+SI units (m, rad, s, kg, N, N·m, A, V, K); poses are a position and a unit quaternion (x, y, z, w); arrays are ordered
+from base to flange. Every leaf may be null, and null means "this source cannot tell": it is never 0, and 0 is never null.
 For information only; not for functional safety (IEC 61508).
 """
 
@@ -395,7 +395,9 @@ class Event(msgspec.Struct, frozen=True, kw_only=True):
     kind: Annotated[EventKind, _is("What happened.")]
     before: Annotated[object, _is("Canonical value before; null: unknown.")] = msgspec.field(name="from", default=None)
     after: Annotated[object, _is("Canonical value after.")] = msgspec.field(name="to", default=None)
-    raw: Annotated[dict[str, object], _is("The vendor's raw values that it follows from.")] = {}
+    raw: Annotated[
+        dict[str, Annotated[object, _is("A raw value.")]], _is("The vendor's raw values that it follows from.")
+    ] = {}
 
 
 Delivery = Literal["sample", "state", "event"]

@@ -24,8 +24,8 @@ class Signal:
     Args:
         key: `<group>.<path>`, such as `joints.position` or `io.digital_in.box`.
         field: The source, or several: `field` or `field.flag`. Without `via` several are put end to end.
-        via: A pure function of the sources' raw values, in the manual's units: a number for a scalar, a list for an array.
-            Not called where a source is not in the frame or not finite: the key is null then.
+        via: A pure function of the sources' raw values, in the manual's units: a number for a scalar, a list for an
+            array. Not called where a source is not in the frame or not finite: the key is null then.
         partial: Whether `via` is called all the same, with None for such a source.
         options: Options of the robot that `via` takes as keyword arguments.
         rotation: How the three angles of a `mm|deg` source turn; None leaves the orientation null.
@@ -92,7 +92,7 @@ def leaf(key: str) -> Leaf:
         elif isinstance(inner, inspect.DictType):
             found = inner.value_type
         else:
-            raise ValueError(f"the model has no key {key!r}: it ends before {name!r}")
+            raise ValueError(f"the model has no key {key!r}: it ends before {name!r}")  # noqa: TRY004 - a wrong value
         unit = _plain(found)[1]
     return Leaf(_shape(_plain(found)[0]), unit)
 

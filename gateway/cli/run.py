@@ -12,11 +12,9 @@ import typer
 from gateway import logs
 from gateway.app import run_until_signal
 from gateway.cli.check import fail as fail_config
-from gateway.cli.common import call, fail, tell
+from gateway.cli.common import USAGE, call, fail, tell
 from gateway.config import find_config, load
 from gateway.errors import ConfigError
-
-USAGE = 2
 
 
 def run(
@@ -41,7 +39,7 @@ def run(
     Examples:
       robot-gateway run --config gateway.toml
       robot-gateway run --config config/demo.toml --log-level debug
-    """
+    """  # noqa: D301 - the \b keeps the lines apart
     try:
         logs.configure(log_level)
     except ValueError as error:

@@ -1,6 +1,6 @@
 """`robot-gateway simulate VENDOR`: virtual controllers on real sockets.
 
-The subcommands are the vendors that the registry finds; a vendor's own options are the fields of its simulator's struct.
+The subcommands are the vendors that the registry finds; a vendor's own options are fields of its simulator's struct.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import msgspec
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from gateway.cli.common import fail, tell
 from gateway.core.registry import Registry
 from gateway.errors import ConfigError, UnknownVendor, VendorError
 from gateway.sim.chaos import ChaosPlan, explain, parse_chaos
@@ -80,7 +81,14 @@ class VendorGroup(TyperGroup):
             return _broken(cmd_name, error)
 
 
-app = typer.Typer(cls=VendorGroup, help=_GROUP_HELP, no_args_is_help=True, add_completion=False)
+app = typer.Typer(
+    cls=VendorGroup,
+    help=_GROUP_HELP,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
 
 
 @app.callback()
@@ -169,8 +177,7 @@ def _runner(vendor: str, simulator: Simulator) -> TyperCommand:
         try:
             anyio.run(_serve, order, backend_options={"use_uvloop": True})
         except SimulatorError as error:
-            typer.echo(f"Error: {error}", err=True)
-            raise typer.Exit(1) from None
+            fail(str(error))
 
     width = max(map(len, SCENARIOS))
     scenarios = "\n".join(f"  {found.name:{width}}  {found.meaning}" for found in SCENARIOS.values())
@@ -186,8 +193,7 @@ def _broken(vendor: str, error: VendorError) -> TyperCommand:
     """Make the command of a vendor that cannot be simulated."""
 
     def run() -> None:
-        typer.echo(f"Error: {error}", err=True)
-        raise typer.Exit(1)
+        fail(str(error))
 
     return _command(vendor, f"Cannot be simulated: {error.reason}", [], run)
 
@@ -201,7 +207,7 @@ def _command(
     """Make a command of parameters that only the running program knows."""
     vars(run)["__signature__"] = inspect.Signature(parameters)
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    one = typer.Typer(add_completion=False)
+    one = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
     one.command(name, help=text, short_help=text.partition("\n")[0])(run)
     return cast("TyperCommand", typer.main.get_command(one))
 
@@ -258,4 +264,4 @@ def _announce(vendor: str, controller: VirtualController) -> None:
     ports = ", ".join(f"{controller.host}:{port} ({protocol or 'no state'})" for protocol, port in controller.ports)
     typer.echo(f"{vendor} {ports}")
     for problem in controller.missing:
-        typer.echo(f"Warning: goes on without {problem}", err=True)
+        tell("warning:", "yellow", f"goes on without {problem}")

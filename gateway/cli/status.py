@@ -10,13 +10,13 @@ from typing import Annotated
 import anyio
 import msgspec
 import typer
-from rich.console import Console, RenderableType
+from rich.console import RenderableType
 from rich.live import Live
 from rich.text import Text
 
 from gateway.api.messages import RobotInfo
 from gateway.api.model import Sample
-from gateway.cli.common import DEFAULT_URL, Url, call
+from gateway.cli.common import DEFAULT_URL, USAGE, Url, call, fail, terminal
 from gateway.cli.view import robots_table
 from gateway.client import Client, ClientError, connect
 
@@ -39,7 +39,12 @@ def status(
       robot-gateway status
       robot-gateway status --watch
       robot-gateway status --json | jq '.[] | select(.link.state != "ONLINE") | .name'
-    """
+    """  # noqa: D301 - the \b keeps the lines apart
+    if watch and as_json:
+        fail(
+            "--watch is for people and --json for programs: take one of them, or `robot-gateway tail --format json`",
+            USAGE,
+        )
     if watch:
         call(partial(_watch, url))
     else:
@@ -60,20 +65,22 @@ async def _once(url: str, *, as_json: bool) -> None:
         ]
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(shown), indent=2).decode() + "\n")
         return
-    Console(highlight=False).print(_table(robots, latest))
+    console = terminal()
+    console.print(_table(robots, latest, console.width))
 
 
 async def _watch(url: str) -> None:
     """Show it again and again; a gateway that goes away is waited for."""
-    with Live(Text("connecting …"), auto_refresh=False, console=Console(highlight=False)) as live:
+    console = terminal()
+    with Live(Text("connecting …"), auto_refresh=False, console=console) as live:
         while True:
             try:
                 async with connect(url) as client:
                     while True:
-                        live.update(_table(*await _ask(client)), refresh=True)
+                        live.update(_table(*await _ask(client), console.width), refresh=True)
                         await anyio.sleep(_WATCH_S)
             except ClientError as error:
-                live.update(Text(f"{error} – trying again", style="red"), refresh=True)
+                live.update(Text(f"{error} - trying again", style="red"), refresh=True)
                 await anyio.sleep(_RETRY_S)
 
 
@@ -84,8 +91,8 @@ async def _ask(client: Client) -> tuple[list[RobotInfo], dict[str, Sample]]:
     return robots, {sample.topic: sample for sample in latest}
 
 
-def _table(robots: list[RobotInfo], latest: dict[str, Sample]) -> RenderableType:
-    return robots_table(robots, latest, time.time_ns() // 1000)
+def _table(robots: list[RobotInfo], latest: dict[str, Sample], width: int) -> RenderableType:
+    return robots_table(robots, latest, time.time_ns() // 1000, width)
 
 
 def _data(latest: dict[str, Sample], robot: str, group: str) -> object:

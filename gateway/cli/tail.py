@@ -12,13 +12,12 @@ from typing import Annotated, TypeVar
 import msgspec
 import typer
 
-from gateway.api.messages import Data, EventMessage, Missed, Mode
+from gateway.api.messages import MAX_RATE_HZ, EventMessage, Missed, Mode
 from gateway.api.model import Quality, Sample
-from gateway.cli.common import DEFAULT_URL, FAILURE, Url, call, fail, tell
+from gateway.cli.common import DEFAULT_URL, USAGE, Url, call, fail, tell
 from gateway.cli.view import event_line, flat, sample_lines, units_of
-from gateway.client import Client, Pushed, RequestError, connect
+from gateway.client import Client, Pushed, connect
 
-_USAGE = 2
 _DEFAULT_TOPICS = ["*/joints", "*/events"]
 _DEFAULT_RATE_HZ = 5.0
 _Item = TypeVar("_Item")
@@ -65,36 +64,34 @@ def tail(
 
     \b
     Examples:
-      robot-gateway tail                                   joints and events of every robot
+      robot-gateway tail
       robot-gateway tail r1/tcp r1/status --rate 2
       robot-gateway tail 'r1/*' --all --format json > r1.ndjson
       robot-gateway tail r1/joints --fields position --format csv > r1.csv
-    """
+    """  # noqa: D301 - the \b keeps the lines apart
     wanted = topics or _DEFAULT_TOPICS
     groups = {topic.rpartition("/")[2] for topic in wanted}
     if format_ is Format.CSV and (len(groups) > 1 or "*" in groups or groups & {"events", "commands"}):
-        fail("csv has one kind of row: name topics of one group that is not events, such as '*/joints'", _USAGE)
-    if not every and rate <= 0:
-        fail(f"--rate {rate:g}: a rate is above 0; --all gives every sample", _USAGE)
-    mode: Mode = "all" if every else "latest"
+        fail("csv has one kind of row: name topics of one group that is not events, such as '*/joints'", USAGE)
+    if not every and not 0 < rate <= MAX_RATE_HZ:
+        fail(f"--rate {rate:g}: a rate is above 0 and at most {MAX_RATE_HZ:g}; --all gives every sample", USAGE)
     chosen = None if fields is None else [field.strip() for field in fields.split(",")]
-    call(partial(_follow, url, wanted, None if every else rate, mode, chosen, since, Printer(format_, count)))
+    follow = partial(_follow, url, wanted, Printer(format_, count), fields=chosen, since=since)
+    call(partial(follow, rate_hz=None if every else rate, mode="all" if every else "latest"))
 
 
 async def _follow(
     url: str,
     topics: list[str],
+    printer: Printer,
+    *,
     rate_hz: float | None,
     mode: Mode,
     fields: list[str] | None,
     since: str | None,
-    printer: Printer,
 ) -> None:
     async with connect(url) as client:
-        try:
-            names = await client.subscribe(topics, rate_hz=rate_hz, mode=mode, fields=fields, since=since)
-        except RequestError as error:
-            fail(str(error), FAILURE)
+        names = await client.subscribe(topics, rate_hz=rate_hz, mode=mode, fields=fields, since=since)
         await printer.learn_units(client, names)
         async for message in client.pushed():
             if not printer.take(message):
@@ -119,7 +116,7 @@ class Printer:
             Format.JSON: _json,
             Format.CSV: self._row,
         }[format_]
-        self._print_event = _json if format_ is Format.JSON else lambda event: print(event_line(event))
+        self._print_event = _json if format_ is Format.JSON else lambda event: _line(event_line(event))
 
     async def learn_units(self, client: Client, topics: list[str]) -> None:
         """Ask the gateway for the units of each topic's fields."""
@@ -134,11 +131,9 @@ class Printer:
             events = "an unknown number of" if message.events is None else message.events
             tell("missed:", "yellow", f"{n_samples} samples, {events} events")
             return True
-        if isinstance(message, Data):
-            return self._each(message.samples, self._print_sample)
         if isinstance(message, EventMessage):
             return self._each(message.events, self._print_event)
-        return True
+        return self._each(message.samples, self._print_sample)
 
     def _each(self, items: Sequence[_Item], show: Callable[[_Item], None]) -> bool:
         for item in items:
@@ -152,7 +147,7 @@ class Printer:
 
     def _table(self, sample: Sample) -> None:
         for line in sample_lines(sample, self._units.get(sample.topic, {})):
-            print(line)
+            _line(line)
 
     def _row(self, sample: Sample) -> None:
         """One row; the columns are those of the first sample that carries values."""
@@ -166,4 +161,8 @@ class Printer:
 
 
 def _json(item: object) -> None:
-    print(msgspec.json.encode(item).decode())
+    _line(msgspec.json.encode(item).decode())
+
+
+def _line(text: str) -> None:
+    sys.stdout.write(f"{text}\n")

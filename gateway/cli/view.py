@@ -13,7 +13,7 @@ from rich.text import Text
 from gateway.api.messages import RobotInfo
 from gateway.api.model import Event, LinkState, Sample
 
-UNKNOWN = "–"
+UNKNOWN = "–"  # noqa: RUF001 - a dash, as in print
 _GOOD = "green"
 _COLOURS = {
     "ONLINE": _GOOD,
@@ -31,6 +31,11 @@ _COLOURS = {
     "FAULT": "red",
 }
 _SECONDS = ((86_400, "d"), (3_600, "h"), (60, "min"))
+_HEADINGS = ("robot", "speaks", "link", "for", "Hz", "power", "motion", "program", "safety")
+_LEAST_IMPORTANT = ("speaks", "program", "Hz", "motion", "power", "for")
+_GAP = 2
+_LARGE = 1e4
+_LONG_ARRAY = 6  # longer ones are shown with fewer digits, so that a line of seven joints has 80 columns
 _LIVE = {"GOOD", "SUBSTITUTED", "UNCERTAIN", "BAD"}
 
 
@@ -38,8 +43,8 @@ def duration(seconds: float) -> str:
     """A duration in the largest unit that fits: `42 s`, `3 min`, `2 d`."""
     for size, unit in _SECONDS:
         if seconds >= size:
-            return f"{seconds / size:.0f} {unit}"
-    return f"{max(0.0, seconds):.0f} s"
+            return f"{seconds // size:.0f} {unit}"
+    return f"{max(0.0, seconds) // 1:.0f} s"
 
 
 def clock_time(t: int) -> str:
@@ -52,37 +57,60 @@ def coloured(word: str | None) -> Text:
     return Text(UNKNOWN, style="dim") if word is None else Text(word, style=_COLOURS.get(word, ""))
 
 
-def robots_table(robots: Iterable[RobotInfo], latest: Mapping[str, Sample], now_us: int) -> RenderableType:
+def robots_table(
+    robots: Iterable[RobotInfo],
+    latest: Mapping[str, Sample],
+    now_us: int,
+    width: int,
+) -> RenderableType:
     """The cell at a glance: a row a robot, and below it a line for each link that is not online.
 
     Args:
         robots: As the gateway tells them.
         latest: The status and safety samples by topic.
         now_us: Now, µs UTC.
+        width: Of the terminal; where it is too narrow, the least important columns are left out.
     """
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1))
-    for heading in ("robot", "speaks", "link", "for", "Hz", "power", "motion", "program", "safety"):
-        table.add_column(heading, no_wrap=True, justify="right" if heading in {"for", "Hz"} else "left")
-    reasons: list[RenderableType] = []
-    for robot in robots:
-        link = robot.link
-        status = _data(latest.get(f"{robot.name}/status"))
-        table.add_row(
-            robot.name,
-            robot.vendor,
-            coloured(link.state.value),
-            duration((now_us - link.since) / 1e6),
-            f"{link.reached_hz:.0f}" if link.reached_hz is not None else UNKNOWN,
-            coloured(_word(status, "power")),
-            coloured(_word(status, "motion")),
-            coloured(_word(status, "program", "state")),
-            coloured(_word(_data(latest.get(f"{robot.name}/safety")), "state")),
-        )
-        if link.state is not LinkState.ONLINE:
-            reasons.append(Text.assemble((f"{robot.name}: ", "bold"), link_reason(robot, now_us)))
-    if not table.rows:
+    shown = list(robots)
+    if not shown:
         return Text("no robots are configured")
-    return Group(table, *reasons)
+    rows = [_row(robot, latest, now_us) for robot in shown]
+    widths = [max(map(len, column)) for column in zip(_HEADINGS, *rows, strict=True)]
+    kept = set(_HEADINGS)
+    for heading in _LEAST_IMPORTANT:
+        if sum(widths[index] + _GAP for index, name in enumerate(_HEADINGS) if name in kept) - _GAP <= width:
+            break
+        kept.remove(heading)
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
+    for heading in _HEADINGS:
+        if heading in kept:
+            table.add_column(heading, no_wrap=True, justify="right" if heading in {"for", "Hz"} else "left")
+    for row in rows:
+        table.add_row(*(cell for heading, cell in zip(_HEADINGS, row, strict=True) if heading in kept))
+    below: list[RenderableType] = []
+    if len(kept) < len(_HEADINGS):
+        left_out = ", ".join(heading for heading in _HEADINGS if heading not in kept)
+        below.append(Text(f"too narrow for: {left_out}", style="dim"))
+    off = [robot for robot in shown if robot.link.state is not LinkState.ONLINE]
+    below += [Text.assemble((f"{robot.name}: ", "bold"), link_reason(robot, now_us)) for robot in off]
+    return Group(table, *below)
+
+
+def _row(robot: RobotInfo, latest: Mapping[str, Sample], now_us: int) -> tuple[Text, ...]:
+    """The cells of one robot, in the order of the headings."""
+    link = robot.link
+    status = _data(latest.get(f"{robot.name}/status"))
+    return (
+        Text(robot.name),
+        Text(robot.vendor),
+        coloured(link.state.value),
+        Text(duration((now_us - link.since) / 1e6)),
+        Text(f"{link.reached_hz:.0f}" if link.reached_hz is not None else UNKNOWN),
+        coloured(_word(status, "power")),
+        coloured(_word(status, "motion")),
+        coloured(_word(status, "program", "state")),
+        coloured(_word(_data(latest.get(f"{robot.name}/safety")), "state")),
+    )
 
 
 def link_reason(robot: RobotInfo, now_us: int) -> str:
@@ -153,19 +181,27 @@ def _leaves(data: object, path: str = "") -> Iterator[tuple[str, object]]:
 
 
 def _leaf_text(key: str, value: object, units: Mapping[str, str], width: int) -> str:
-    unit = units.get(key, "")
-    shown = "  ".join(_number(item) for item in value) if isinstance(value, list) else _number(value).strip()
-    return f"{key:<{width}}  {shown}{f'  {unit}' if unit and unit != '1' else ''}"
+    unit = units.get(key, "1")
+    if unit == "µs" and isinstance(value, int):
+        return f"{key:<{width}}  {clock_time(value)}"
+    digits = 4 if isinstance(value, list) and len(value) <= _LONG_ARRAY else 3
+    shown = " ".join(_number(item, digits) for item in value) if isinstance(value, list) else _scalar(value)
+    return f"{key:<{width}}  {shown}{'' if unit == '1' else f'  {unit}'}"
 
 
-def _number(value: object) -> str:
+def _number(value: object, digits: int) -> str:
+    """One of several numbers, in a column of its own."""
+    if isinstance(value, float):
+        return f"{value:{digits + 4}.{digits}f}" if abs(value) < _LARGE else f"{value:{digits + 4}.2g}"
+    return _scalar(value)
+
+
+def _scalar(value: object) -> str:
     if value is None:
         return UNKNOWN
     if isinstance(value, bool):
         return "1" if value else "0"
-    if isinstance(value, float):
-        return f"{value:8.4f}"
-    return str(value)
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _short(value: object) -> str:

@@ -1,1 +1,1 @@
-"""Everything that runs: finding vendors, keeping links alive, and the bus. Takes plain records, never the config file."""
+"""Everything that runs: finding vendors, keeping links alive, the bus. Takes plain records, never the config file."""

@@ -1,6 +1,7 @@
-"""The bus: topics with their latest readings, and listeners that are told at once. Publishing is synchronous and cannot block.
+"""The bus: topics with their latest readings, and listeners that are told at once.
 
-A `Reading` is what one moment says of a topic. It is normalised only when somebody asks for it, and once.
+Publishing is synchronous and cannot block. A `Reading` is what one moment says of a topic. It is normalised only when
+somebody asks for it, and once.
 """
 
 from __future__ import annotations

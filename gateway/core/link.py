@@ -94,7 +94,7 @@ class Link:
             return self._lost(LinkState.STALE, error.reason)
         except LinkError as error:
             return self._lost(LinkState.DISCONNECTED, error.reason)
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001 - the one place that catches what nobody expected
             self._log.exception("link.faulted", reason=repr(error))
             return self._lost(LinkState.FAULTED, f"internal error, see the log: {error!r}", REFUSED_S)
         raise AssertionError("a session ends with an exception")

@@ -1,4 +1,4 @@
-"""The publisher of one robot: turns its frames into readings on the bus, finds its edges, and says when it fell silent."""
+"""The publisher of one robot: turns its frames into readings, finds its edges, and says when it fell silent."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class _State:
 class Publisher:
     """Publishes what one robot's frames say.
 
-    Sample topics keep the frame and normalise it when somebody asks; state topics compare the bits that they follow from
-    and publish only a change.
+    Sample topics keep the frame and normalise it when somebody asks; state topics compare the bits that they follow
+    from and publish only a change.
 
     Args:
         robot: Name of the robot.

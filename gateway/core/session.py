@@ -169,7 +169,5 @@ class Session:
 
 def _first_leaf(group: BaseExceptionGroup[BaseException]) -> BaseException:
     """The exception that matters of a group: one that is no link error hides behind none."""
-    leaves: list[BaseException] = []
-    for error in group.exceptions:
-        leaves.append(_first_leaf(error) if isinstance(error, BaseExceptionGroup) else error)
+    leaves = [_first_leaf(one) if isinstance(one, BaseExceptionGroup) else one for one in group.exceptions]
     return next((error for error in leaves if not isinstance(error, LinkError)), leaves[0])

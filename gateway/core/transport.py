@@ -1,4 +1,4 @@
-"""Transports: how bytes reach a controller. A `Connector` opens `Connection`s; each kind of transport is one class here."""
+"""Transports: how bytes reach a controller. A `Connector` opens `Connection`s; each kind of transport is one class."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gateway.errors import LinkClosed
 
 RECEIVE_BYTES = 65536
 CONNECT_TIMEOUT_S = 3.0
-# Half-open connections are noticed by the kernel after idle + count * interval seconds, also where silence means nothing.
+# Half-open connections are noticed by the kernel after idle + count * interval s, also where silence means nothing.
 KEEP_ALIVE = {"TCP_KEEPIDLE": 5, "TCP_KEEPINTVL": 2, "TCP_KEEPCNT": 3}
 
 _WORDS = {
@@ -95,7 +95,7 @@ class TcpClient:
             raise LinkClosed(f"no answer from {self.peer} within {CONNECT_TIMEOUT_S:g} s") from None
         except OSError as error:
             raise LinkClosed(f"{self.peer}: {describe(error)}") from error
-        raw = stream.extra(SocketAttribute.raw_socket)
+        raw = stream.extra(SocketAttribute.raw_socket)  # noqa: S610 - not that `extra`
         raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         _keep_alive(raw.setsockopt)
         return TcpConnection(stream)

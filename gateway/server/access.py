@@ -3,22 +3,33 @@
 from __future__ import annotations
 
 import ipaddress
+import re
 from collections.abc import Awaitable, Callable
-from urllib.parse import urlsplit
 
 from aiohttp import web
 
 _LOCAL_NAMES = {"localhost", "localhost.localdomain"}
+# host, host:port or [address]:port, and nothing else
+_AUTHORITY = re.compile(r"(?:\[(?P<address>[0-9a-f:.]+)\]|(?P<name>[a-z0-9._-]+))(?::[0-9]{1,5})?", re.IGNORECASE)
 
 
-def is_local(host: str) -> bool:
-    """Whether a host name or address means this machine."""
+def is_local(authority: str) -> bool:
+    """Whether a Host header means this machine."""
+    match = _AUTHORITY.fullmatch(authority)
+    if match is None:
+        return False
+    host = match["address"] or match["name"]
     if host.lower() in _LOCAL_NAMES:
         return True
     try:
-        return ipaddress.ip_address(host.strip("[]")).is_loopback
+        return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return False
+
+
+def is_own(origin: str, authority: str) -> bool:
+    """Whether an Origin is a page that came from where the Host header points."""
+    return origin.lower() in {f"{scheme}://{authority.lower()}" for scheme in ("http", "https")}
 
 
 @web.middleware
@@ -27,10 +38,10 @@ async def refuse_foreign(
     handler: Callable[[web.Request], Awaitable[web.StreamResponse]],
 ) -> web.StreamResponse:
     """Refuse a foreign Host (DNS rebinding) and a foreign Origin (a page of another site in this machine's browser)."""
-    host = urlsplit(f"//{request.host}").hostname or ""
+    host = request.headers.get("Host", "")
     if not is_local(host):
-        raise web.HTTPForbidden(text=f"Host {request.host!r} is not this machine: use localhost or 127.0.0.1\n")
+        raise web.HTTPForbidden(text=f"Host {host!r} is not this machine: use localhost or 127.0.0.1\n")
     origin = request.headers.get("Origin")
-    if origin is not None and urlsplit(origin).netloc.lower() != request.host.lower():
+    if origin is not None and not is_own(origin, host):
         raise web.HTTPForbidden(text=f"Origin {origin!r} is not this gateway: its pages may not read it\n")
     return await handler(request)

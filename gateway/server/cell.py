@@ -13,6 +13,8 @@ from gateway.api.signals import keys_of
 from gateway.core.bus import Bus, Topic
 from gateway.core.settings import BrokenRobot, RobotSettings
 
+_NAMED = 8  # so many globs an error repeats
+
 
 class Cell:
     """The robots and the bus, read by every door.
@@ -47,7 +49,8 @@ class Cell:
         """Say what to do about globs that match nothing."""
         near = difflib.get_close_matches(patterns[0], self.bus.topics, n=1)
         hint = f'did you mean "{near[0]}"?' if near else f"topics look like {next(iter(self.bus.topics), 'r1/joints')}"
-        return f"no topic matches {', '.join(patterns)}; {hint}"
+        named = ", ".join(patterns[:_NAMED]) + (f" and {len(patterns) - _NAMED} more" if len(patterns) > _NAMED else "")
+        return f"no topic matches {named}; {hint}"
 
     def unknown_fields(self, topics: Iterable[Topic], fields: Iterable[str]) -> list[str]:
         """The fields that none of some topics has."""
@@ -64,15 +67,15 @@ class Cell:
 
     def _info(self, name: str) -> RobotInfo:
         robot = self.robots[name]
-        topics = {topic.group.name: topic for topic in self.bus.topics.values() if topic.robot == name}
-        stats = self._data(topics.get("link_stats"))
+        known = {group: self.bus.topics.get(f"{name}/{group}") for group in GROUPS}
+        stats = self._data(known["link_stats"])
         counted = stats if isinstance(stats, LinkStats) else LinkStats()
         return RobotInfo(
             name=name,
             vendor=robot.vendor if isinstance(robot, BrokenRobot) else robot.vendor.name,
             protocol=robot.protocol if isinstance(robot, BrokenRobot) else robot.protocol.name,
-            groups=list(topics),
-            link=cast("Link", self._data(topics["link"])),
+            groups=[group for group, topic in known.items() if topic is not None],
+            link=cast("Link", self._data(known["link"])),
             reject_counts=counted.rejects,
             frames=counted.frames,
             age=counted.age,

@@ -6,15 +6,16 @@ import errno
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
-from aiohttp import WSCloseCode, web
+from aiohttp import web
 
 from gateway import __version__
 from gateway.errors import GatewayError
 from gateway.server.access import refuse_foreign
 from gateway.server.cell import Cell
-from gateway.server.native import CELL, FLUSH_S, SOCKETS, OpenSockets, websocket
+from gateway.server.native import CELL, CLIENTS, PACE, Clients, Pace, websocket
 
 _SHUTDOWN_S = 1.0
+_STUCK_S = 10.0
 
 
 class ListenError(GatewayError):
@@ -36,12 +37,12 @@ async def healthz(_: web.Request) -> web.Response:
     return web.json_response({"status": "ok", "gateway": __version__})
 
 
-def make_app(cell: Cell, flush_s: float) -> web.Application:
+def make_app(cell: Cell, pace: Pace) -> web.Application:
     """All doors of the listener."""
     app = web.Application(middlewares=[refuse_foreign])
     app[CELL] = cell
-    app[FLUSH_S] = flush_s
-    app[SOCKETS] = OpenSockets()
+    app[PACE] = pace
+    app[CLIENTS] = Clients()
     app.on_shutdown.append(_say_goodbye)
     app.router.add_get("/ws", websocket)
     app.router.add_get("/healthz", healthz)
@@ -49,7 +50,7 @@ def make_app(cell: Cell, flush_s: float) -> web.Application:
 
 
 @asynccontextmanager
-async def listening(cell: Cell, host: str, port: int, flush_s: float) -> AsyncIterator[int]:
+async def listening(cell: Cell, host: str, port: int, flush_s: float, stuck_s: float = _STUCK_S) -> AsyncIterator[int]:
     """Open the listener for as long as the context lasts.
 
     Args:
@@ -57,6 +58,7 @@ async def listening(cell: Cell, host: str, port: int, flush_s: float) -> AsyncIt
         host: Address to listen on.
         port: Port; 0 takes a free one.
         flush_s: How long samples may be collected into one message.
+        stuck_s: A client whose socket takes nothing for so long is sent away.
 
     Yields:
         The port.
@@ -64,7 +66,9 @@ async def listening(cell: Cell, host: str, port: int, flush_s: float) -> AsyncIt
     Raises:
         ListenError: The address is taken or not allowed.
     """
-    runner = web.AppRunner(make_app(cell, flush_s), access_log=None, shutdown_timeout=_SHUTDOWN_S)
+    runner = web.AppRunner(
+        make_app(cell, Pace(flush_s=flush_s, stuck_s=stuck_s)), access_log=None, shutdown_timeout=_SHUTDOWN_S
+    )
     await runner.setup()
     try:
         site = web.TCPSite(runner, host, port)
@@ -79,8 +83,7 @@ async def listening(cell: Cell, host: str, port: int, flush_s: float) -> AsyncIt
 
 async def _say_goodbye(app: web.Application) -> None:
     """Tell every client that the gateway is going."""
-    for socket in list(app[SOCKETS]):
-        await socket.close(code=WSCloseCode.GOING_AWAY, message=b"the gateway is stopping")
+    await app[CLIENTS].send_away()
 
 
 def _advice(error: OSError) -> str:

@@ -1,7 +1,7 @@
-"""What one subscriber is owed: the newest samples, queued events, and counts of what it missed.
+"""What one client is owed: the samples of its subscriptions, queued events, and counts of what it missed.
 
-Subscriptions listen to the bus; the outbox collects what is due into as few messages as possible. Nothing here waits for
-a socket: a client that does not read costs these bounds of memory and no more.
+Subscriptions listen to the bus; the outbox collects what is due into as few messages as possible. Nothing here waits
+for a socket: a client that does not read costs these bounds of memory and no more.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import anyio
 from gateway.api.messages import Missed
 from gateway.api.model import Event
 from gateway.core.bus import Reading, Topic
+from gateway.server.inbox import Every, Inbox, Newest, Rated
 from gateway.server.wire import Cut, Encoding, encode_events, encode_response
 
 QUEUED_SAMPLES = 10_000
@@ -40,31 +41,33 @@ class Wish:
 
 
 class Subscription:
-    """One subscription: a listener on its topics.
+    """One subscription: a listener on its topics. What is latched goes at once, samples when they are due.
 
     Args:
         wish: What was asked for.
         topics: What it matches.
         outbox: Where its samples leave.
-        start_s: Monotonic time that the slots of `period_s` are locked to.
     """
 
-    def __init__(self, wish: Wish, topics: Sequence[Topic], outbox: Outbox, start_s: float) -> None:
-        self.wish = wish
+    def __init__(self, wish: Wish, topics: Sequence[Topic], outbox: Outbox) -> None:
         self.topics = tuple(topics)
+        self._encoded = wish.cut.encoded
         self._outbox = outbox
-        self._start_s = start_s
-        self.newest: dict[Topic, Reading] = {}
-        self.queue: deque[tuple[Topic, Reading]] = deque()
-        self.due_s = math.inf
+        self._first: list[tuple[Topic, Reading]] = []
+        self._states, self._samples = _inboxes(wish, outbox)
+
+    @property
+    def due_s(self) -> float:
+        """Monotonic time when something of it is due."""
+        return -math.inf if self._first else min(self._states.due_s, self._samples.due_s)
 
     def open(self) -> None:
         """Start listening; the latest readings are due at once."""
         for topic in self.topics:
             topic.listeners = [*topic.listeners, self]
             if topic.latest is not None:
-                self.newest[topic] = topic.latest
-                self._due(self._outbox.now())
+                self._first.append((topic, topic.latest))
+        self._outbox.wake_by(self.due_s)
 
     def close(self) -> None:
         """Stop listening."""
@@ -73,55 +76,19 @@ class Subscription:
 
     def on_reading(self, topic: Topic, reading: Reading) -> None:
         """Take a reading from the bus."""
-        if self.wish.every:
-            self.queue.append((topic, reading))
-            if len(self.queue) > QUEUED_SAMPLES:
-                self._outbox.missed[self.queue.popleft()[0].name] += 1
-        elif topic in self.newest:
-            if self.wish.period_s is None and topic.group.delivery == "sample":
-                self._outbox.missed[topic.name] += 1
-            self.newest[topic] = reading
-            return  # its time is already set
-        else:
-            self.newest[topic] = reading
-        if topic.group.delivery == "state":
-            self._due(self._outbox.now())
-        elif self.wish.period_s is None:
-            if self.due_s == math.inf:
-                self._due(self._outbox.now() + self._outbox.flush_s)
-        elif self.due_s == math.inf:
-            self._due(self._next_slot_s(self._outbox.now()))
+        inbox = self._states if topic.group.delivery == "state" else self._samples
+        inbox.put(topic, reading, self._outbox.now())
+        self._outbox.wake_by(inbox.due_s)
 
-    def on_event(self, topic: Topic, event: Event) -> None:
+    def on_event(self, topic: Topic, event: Event) -> None:  # noqa: ARG002 - a listener's signature
         """Take an event from the bus."""
-        self._outbox.add_event(topic, event)
+        self._outbox.add_event(event)
 
-    def take(self) -> list[bytes]:
-        """Take everything out, encoded, in order per topic."""
-        if self.wish.period_s is not None:  # slots that passed while the client could not be written to
-            lost = int((self._outbox.now() - self.due_s) / self.wish.period_s)
-            if lost > 0:
-                self._outbox.missed.update(
-                    {topic.name: lost for topic in self.newest if topic.group.delivery == "sample"}
-                )
-        encoded = self.wish.cut.encoded
-        parts = [encoded(topic, reading) for topic, reading in self.newest.items()]
-        parts += [encoded(topic, reading) for topic, reading in self.queue]
-        self.newest.clear()
-        self.queue.clear()
-        self.due_s = math.inf
-        return parts
-
-    def _next_slot_s(self, now_s: float) -> float:
-        """The next slot of the phase-locked rate."""
-        period_s = self.wish.period_s or 0.0
-        slots = math.floor((now_s - self._start_s) / period_s) + 1
-        return self._start_s + slots * period_s
-
-    def _due(self, at_s: float) -> None:
-        if at_s < self.due_s:
-            self.due_s = at_s
-            self._outbox.wake_by(at_s)
+    def take(self, now_s: float) -> list[bytes]:
+        """Give out everything that is due now, encoded, in order per topic."""
+        first, self._first = self._first, []
+        due = [*first, *self._states.take(now_s), *self._samples.take(now_s)]
+        return [self._encoded(topic, reading) for topic, reading in due]
 
 
 class Outbox:
@@ -135,6 +102,7 @@ class Outbox:
     Attributes:
         missed: Samples that the client asked for and will not get, by topic.
         overflowed: Whether more events came than the bound allows: the client must go.
+        due_s: Monotonic time when something is due.
     """
 
     def __init__(self, encoding: Encoding, flush_s: float, now: Callable[[], float]) -> None:
@@ -144,15 +112,16 @@ class Outbox:
         self.missed: Counter[str] = Counter()
         self.overflowed = False
         self.subscriptions: dict[int | str, Subscription] = {}
+        self.due_s = math.inf
         self._events: deque[Event] = deque()
         self._last_seq = 0
         self._events_gone: int | None = 0
         self._missed_said_s = -math.inf
-        self._due_s = math.inf
         self._wake = anyio.Event()
 
     def add(self, name: int | str, subscription: Subscription) -> None:
-        """Open a subscription."""
+        """Open a subscription; one of the same name is closed."""
+        self.remove(name)
         self.subscriptions[name] = subscription
         subscription.open()
 
@@ -168,7 +137,7 @@ class Outbox:
         for name in list(self.subscriptions):
             self.remove(name)
 
-    def add_event(self, topic: Topic, event: Event) -> None:  # noqa: ARG002 - a listener's signature
+    def add_event(self, event: Event) -> None:
         """Queue an event; two subscriptions that match it deliver it once."""
         if event.seq <= self._last_seq:
             return
@@ -177,34 +146,39 @@ class Outbox:
             self.overflowed = True
         else:
             self._events.append(event)
-        self.wake_by(self.now())
+        self.wake_by(-math.inf)
 
     def resume(self, events: Sequence[Event], missed: int | None) -> None:
-        """Queue the events that a client reads on after; `missed` are gone from the ring (None: number not known)."""
-        for event in events:
-            if event.seq > self._last_seq:
-                self._events.append(event)
-                self._last_seq = event.seq
+        """Queue the events that a client reads on after, up to the bound: then the oldest count as missed.
+
+        Args:
+            events: In order.
+            missed: How many are gone from the ring; None: their number is not known.
+        """
+        merged = sorted({event.seq: event for event in (*events, *self._events)}.values(), key=lambda event: event.seq)
+        over = max(0, len(merged) - QUEUED_EVENTS)
+        self._events = deque(merged[over:])
+        if merged:
+            self._last_seq = max(self._last_seq, merged[-1].seq)
         if missed is None or self._events_gone is None:
             self._events_gone = None
         else:
-            self._events_gone += missed
-        self.wake_by(self.now())
+            self._events_gone += missed + over
+        self.wake_by(-math.inf)
 
     def wake_by(self, at_s: float) -> None:
         """Make `wait` return by a monotonic time."""
-        if at_s < self._due_s:
-            self._due_s = at_s
+        if at_s < self.due_s:
+            self.due_s = at_s
             self._wake.set()
 
     async def wait(self) -> None:
         """Wait until something is due."""
-        while True:
-            now_s = self.now()
-            if self._due_s <= now_s:
-                return
+        while self.due_s > self.now():
             self._wake = anyio.Event()
-            with anyio.CancelScope(deadline=math.ceil(self._due_s * 1000) / 1000):
+            # Whole milliseconds: uvloop's clock has no finer steps, and a deadline between two of them spins.
+            whole_s = math.ceil(self.due_s * 1000) / 1000 if self.due_s < math.inf else math.inf
+            with anyio.CancelScope(deadline=whole_s):
                 await self._wake.wait()
 
     def collect(self) -> list[bytes]:
@@ -214,21 +188,16 @@ class Outbox:
         if self._events:
             messages.append(encode_events(self.encoding, self._events))
             self._events.clear()
-        parts: list[bytes] = []
-        for subscription in self.subscriptions.values():
-            if subscription.due_s <= now_s:
-                parts += subscription.take()
+        due = [subscription for subscription in self.subscriptions.values() if subscription.due_s <= now_s]
+        parts = [part for subscription in due for part in subscription.take(now_s)]
         if parts:
             messages.append(self.encoding.list_message("data", "samples", parts))
-        if self._may_say_missed(now_s):
+        if self._events_gone != 0 or (self.missed and now_s >= self._missed_said_s + MISSED_PERIOD_S):
             messages.append(self._say_missed(now_s))
-        self._due_s = min((one.due_s for one in self.subscriptions.values()), default=math.inf)
+        self.due_s = min((one.due_s for one in self.subscriptions.values()), default=math.inf)
         if self.missed:
-            self._due_s = min(self._due_s, self._missed_said_s + MISSED_PERIOD_S)
+            self.due_s = min(self.due_s, self._missed_said_s + MISSED_PERIOD_S)
         return messages
-
-    def _may_say_missed(self, now_s: float) -> bool:
-        return self._events_gone != 0 or (bool(self.missed) and now_s >= self._missed_said_s + MISSED_PERIOD_S)
 
     def _say_missed(self, now_s: float) -> bytes:
         message = Missed(samples=dict(self.missed), events=self._events_gone)
@@ -236,3 +205,12 @@ class Outbox:
         self._events_gone = 0
         self._missed_said_s = now_s
         return encode_response(self.encoding, message)
+
+
+def _inboxes(wish: Wish, outbox: Outbox) -> tuple[Inbox, Inbox]:
+    """Make the inboxes of the state topics and of the sample topics."""
+    if wish.every:
+        return Every(0.0, QUEUED_SAMPLES, outbox.missed), Every(outbox.flush_s, QUEUED_SAMPLES, outbox.missed)
+    if wish.period_s is None:
+        return Newest(0.0, None), Newest(outbox.flush_s, outbox.missed)
+    return Newest(0.0, None), Rated(wish.period_s, outbox.now(), outbox.missed)

@@ -1,4 +1,4 @@
-"""The two encodings of the native protocol. A sample is encoded once for each (topic, fields, encoding), never per client."""
+"""The two encodings of the native protocol: each (topic, fields, encoding) is encoded once, never per client."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ _FAULTS = {
     "header": ("RATE", "one byte of the header is damaged"),
     "corrupt": ("RATE", "one byte anywhere is damaged"),
     "delay": ("RATE/SECONDS", "late by so many seconds"),
-    "stall": ("SECONDS/EVERY", "silence for so long in every so many"),
+    "stall": ("SECONDS/EVERY", "silence for so long in every so many; then what was asked is answered"),
     "cut": ("EVERY", "the connection is closed after so many"),
 }
 _TIMED = {"delay": 2, "stall": 2}
@@ -54,9 +54,14 @@ class ChaosPlan:
 
     def silent(self, elapsed_s: float) -> bool:
         """Whether the controller is silent at a time since it was started: a stall ends each period."""
+        return self.silence_left_s(elapsed_s) > 0
+
+    def silence_left_s(self, elapsed_s: float) -> float:
+        """How long the controller will still be silent; 0 when it is not."""
         if not self.stall_every_s:
-            return False
-        return elapsed_s % self.stall_every_s >= self.stall_every_s - self.stall_s
+            return 0.0
+        left_s = self.stall_every_s - elapsed_s % self.stall_every_s
+        return left_s if left_s <= self.stall_s else 0.0
 
 
 CALM = ChaosPlan()

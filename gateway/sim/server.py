@@ -11,6 +11,7 @@ import ipaddress
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
+from functools import partial
 from random import Random
 from typing import TYPE_CHECKING, cast
 
@@ -22,10 +23,13 @@ from gateway.sim.scenario import Scenario, find_scenario
 from gateway.sim.simulator import Port, Simulator, VirtualRobot
 
 if TYPE_CHECKING:
-    from asyncio import AbstractServer, TimerHandle, Transport
+    from asyncio import AbstractServer, Handle, Transport
 
 # Controllers of one run begin this much apart in the scenario, so that they are not all doing the same.
 SPREAD_S = 3.7
+# Bytes that are read at once, and sends that may be owed before no more is read.
+_READ_SIZE = 2048
+_MOST_OWED = 64
 
 
 class SimulatorError(GatewayError):
@@ -132,7 +136,7 @@ class VirtualController:
         self._numbers[index] = server.sockets[0].getsockname()[1]
 
 
-class _Connection(asyncio.Protocol):
+class _Connection(asyncio.BufferedProtocol):
     """One client. What it is owed leaves in order; the next send waits for the one before."""
 
     def __init__(self, controller: VirtualController, port: Port, loop: asyncio.AbstractEventLoop) -> None:
@@ -143,7 +147,9 @@ class _Connection(asyncio.Protocol):
         self._chaos: Chaos | None = None
         self._session = port.session(controller.robot, controller.options)
         self._owed: deque[Delivery] = deque()
-        self._timers: dict[str, TimerHandle] = {}
+        self._timers: dict[str, Handle] = {}
+        self._buffer = bytearray(_READ_SIZE)
+        self._held = b""
         self._full = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -163,14 +169,31 @@ class _Connection(asyncio.Protocol):
         if self._session.period_s is not None:
             self._push(self._loop.time(), self._session.period_s)
 
-    def data_received(self, data: bytes) -> None:
+    def get_buffer(self, _size_hint: int) -> bytearray:
+        """Lend the buffer: a small one, because a client may send requests without end."""
+        return self._buffer
+
+    def buffer_updated(self, size: int) -> None:
         """Let the session answer."""
-        now_s = self._loop.time()
-        if self._chaos is not None and self._plan.silent(now_s - self._controller.start_s):
+        data = bytes(self._buffer[:size])
+        left_s = self._plan.silence_left_s(self._loop.time() - self._controller.start_s)
+        if left_s or self._held:
             self._controller.robot.faults["stall"] += 1
-            return
+            self._held += data
+            if "stall" not in self._timers:
+                self._timers["stall"] = self._loop.call_later(left_s, self._end_stall)
+        else:
+            self._answer(data)
+
+    def _end_stall(self) -> None:
+        """Answer what was asked during a stall, like a controller whose process has hung."""
+        held, self._held = self._held, b""
+        del self._timers["stall"]
+        self._answer(held)
+
+    def _answer(self, data: bytes) -> None:
         try:
-            self._send(self._session.received(data, now_s))
+            self._send(self._session.received(data, self._loop.time()))
         except Exception as error:  # noqa: BLE001 - one client's bytes must not stop the others
             self._failed(error)
 
@@ -184,12 +207,21 @@ class _Connection(asyncio.Protocol):
     def pause_writing(self) -> None:
         """Stop reading the requests of a client that does not read the answers."""
         self._full = True
-        self._transport.pause_reading()
+        self._balance()
 
     def resume_writing(self) -> None:
         """Go on."""
         self._full = False
-        self._transport.resume_reading()
+        self._balance()
+
+    def _balance(self) -> None:
+        """Read on only while what is owed leaves."""
+        if self._transport.is_closing():
+            return
+        if self._full or len(self._owed) > _MOST_OWED:
+            self._transport.pause_reading()
+        else:
+            self._transport.resume_reading()
 
     def abort(self) -> None:
         """Close without a word."""
@@ -225,11 +257,14 @@ class _Connection(asyncio.Protocol):
         self._owed.extend(deliveries)
         if idle and self._owed:
             self._next()
+        if len(self._owed) > _MOST_OWED:
+            self._balance()
 
     def _next(self) -> None:
         """Have the head sent when its time comes."""
         wait_s = self._owed[0].wait_s
-        self._timers["send"] = self._loop.call_later(wait_s, self._write)
+        call = self._loop.call_soon if wait_s <= 0 else partial(self._loop.call_later, wait_s)
+        self._timers["send"] = call(self._write)
 
     def _write(self) -> None:
         """Send the head: never two sends in one turn of the loop, which might join them."""
@@ -238,6 +273,8 @@ class _Connection(asyncio.Protocol):
         self._transport.write(self._owed.popleft().data)
         if self._owed:
             self._next()
+        if len(self._owed) == _MOST_OWED:
+            self._balance()
 
     def _failed(self, error: Exception) -> None:
         context = {"message": "a virtual controller's session failed", "exception": error, "protocol": self}

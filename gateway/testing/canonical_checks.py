@@ -44,11 +44,12 @@ def canonical_groups_fit_the_model(subject: Subject) -> None:
 def nothing_is_told_that_is_not_finite(subject: Subject) -> None:
     """NaN and infinity in any word of any vector make null of what follows from it, and nothing else, and q BAD."""
     for vector, frame, normaliser in _frames(subject):
-        clean = {group: read_group(normaliser, group, frame).data for group in (*_canonical(normaliser), "vendor")}
+        groups = (*_canonical(normaliser), "vendor")
+        clean = {group: dict(leaves(read_group(normaliser, group, frame).data)) for group in groups}
         for field in frame.layout.fields:
             for index in range(field.present if field.is_float else 0):
                 at = frame.start + field.offset + index * field.item_size
-                for value in (math.nan, math.inf, -math.inf):
+                for value in (math.nan, math.inf, -math.inf) if index == 0 else (math.nan,):
                     code = frame.layout.byteorder + TYPES[field.type][0]
                     raw = bytearray(frame.raw)
                     struct.pack_into(code, raw, at, value)
@@ -165,18 +166,18 @@ def _check_shapes(group: str, data: Plain, where: str) -> None:
 
 
 def _check_nulls(normaliser: Normaliser, hurt: Frame, source: str, clean: Mapping[str, Plain], where: str) -> None:
-    for group, before in clean.items():
+    for group, was in clean.items():
         rows = [row for row in normaliser.signals if row.group == group and _uses(row, hurt.layout, source)]
         reading = read_group(normaliser, group, hurt)
         if (rows or group == "vendor") and not reading.bad:
             raise CheckFailed(f"{where}: {group} is not flagged BAD: return True with a group that held it")
-        was, now = dict(leaves(before)), dict(leaves(reading.data))
+        now = dict(leaves(reading.data))
         wrong = [name for name, value in now.items() if isinstance(value, float) and not math.isfinite(value)]
         if not any(row.partial for row in rows):
             wrong += [name for name in was.keys() & now.keys() if was[name] != now[name] and now[name] is not None]
         if wrong:
             raise CheckFailed(f"{where}: {group}.{wrong[0]} is {now[wrong[0]]!r}: make it null")
-        if not rows and group != "vendor" and reading.data != before:
+        if not rows and group != "vendor" and now != was:
             raise CheckFailed(f"{where}: {group} changes, though no row of it names {source}")
 
 

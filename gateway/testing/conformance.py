@@ -18,6 +18,7 @@ from gateway.core.registry import Registry
 from gateway.testing import (
     canonical_checks,
     damage_checks,
+    end_to_end_checks,
     polling_checks,
     simulator_checks,
     speed_checks,
@@ -87,7 +88,7 @@ CHECKS: tuple[Check, ...] = (
     Check(damage_checks.damaged_headers_cost_little, limit_s=60.0),
     Check(damage_checks.damage_never_passes, limit_s=60.0),
     Check(canonical_checks.canonical_groups_fit_the_model),
-    Check(canonical_checks.nothing_is_told_that_is_not_finite),
+    Check(canonical_checks.nothing_is_told_that_is_not_finite, limit_s=60.0),
     Check(canonical_checks.cut_off_is_null),
     Check(canonical_checks.keys_follow_values, limit_s=60.0),
     Check(polling_checks.only_allowed_bytes_are_sent),
@@ -96,6 +97,7 @@ CHECKS: tuple[Check, ...] = (
     Check(polling_checks.unrequested_frames_end_the_session),
     Check(polling_checks.requests_never_outrun_answers),
     Check(simulator_checks.simulator_answers),
+    Check(end_to_end_checks.data_arrives_and_returns),
     Check(speed_checks.decoding_is_fast),
 )
 

@@ -93,6 +93,7 @@ def with_reader(subject: Subject, decoder: type[FramedDecoder]) -> Subject:
 
     class Changed(Protocol):
         def reader(self) -> FramedDecoder:
+            """Make the other decoder."""
             return decoder(self.framing)
 
     return dataclasses.replace(subject, protocol=_as(Changed, subject.protocol))
@@ -103,6 +104,7 @@ def with_session(subject: Subject, session: Callable[[FramedDecoder, bytes], Dec
 
     class Changed(Protocol):
         def decoder(self, options: msgspec.Struct) -> Decoder:
+            """Make the other session."""
             assert self.request is not None
             return session(self.reader(), self.request(options))
 
@@ -117,6 +119,7 @@ class LosesRejects(FramedDecoder):
     """Forgets the bytes that are no frame."""
 
     def feed(self, data: bytes) -> list[Event]:
+        """Take bytes."""
         return [event for event in super().feed(data) if not isinstance(event, Reject)]
 
 
@@ -124,6 +127,7 @@ class LosesCutFrames(FramedDecoder):
     """Takes one read for one frame, like many clients."""
 
     def feed(self, data: bytes) -> list[Event]:
+        """Take bytes."""
         events = super().feed(data)
         return [*events, *self.end()]
 
@@ -134,6 +138,7 @@ class GivesUp(FramedDecoder):
     broken = False
 
     def feed(self, data: bytes) -> list[Event]:
+        """Take bytes."""
         if self.broken:
             return [Reject(data, "broken")]
         events = super().feed(data)
@@ -145,6 +150,7 @@ class Raises(FramedDecoder):
     """Raises at what it does not know."""
 
     def feed(self, data: bytes) -> list[Event]:
+        """Take bytes."""
         events = super().feed(data)
         if any(isinstance(event, Reject) for event in events):
             raise ValueError("unknown frame")
@@ -158,18 +164,28 @@ class Hoards(FramedDecoder):
 
     @property
     def pending(self) -> int:
+        """What the buffer seems to hold."""
         return self.hoard
 
     def feed(self, data: bytes) -> list[Event]:
+        """Take bytes."""
         events = super().feed(data)
         self.hoard += sum(len(event.raw) for event in events if isinstance(event, Reject))
         return events
+
+
+class IgnoresMagic(FramedDecoder):
+    """Looks at length and type only."""
+
+    def __init__(self, framing: Framing) -> None:
+        super().__init__(dataclasses.replace(framing, magic=b""))
 
 
 class Impatient(Polled):
     """Asks in every period, answered or not."""
 
     def tick(self) -> bytes | Refused:
+        """Ask."""
         return self._request
 
 
@@ -177,6 +193,7 @@ class Trusting(Polled):
     """Takes frames that nobody asked for."""
 
     def feed(self, data: bytes) -> list[Event]:
+        """Take bytes."""
         self._outstanding = False
         return self._decoder.feed(data)
 
@@ -185,6 +202,7 @@ class EasilyAnswered(Polled):
     """Takes a frame that carries no state for the answer."""
 
     def feed(self, data: bytes) -> list[Event]:
+        """Take bytes."""
         events = super().feed(data)
         if any(isinstance(event, Skipped) for event in events):
             self._outstanding = False
@@ -310,9 +328,9 @@ DEFECTS: Mapping[str, tuple[Plant, str, str]] = {
     "no magic": (lambda s: with_framing(s, magic=b""), "framing_holds", "the framing has no magic"),
     "half a magic": (lambda s: with_framing(s, magic=b"", header=4), "garbage_gives_nothing", "bytes give Frame"),
     "a magic that is not checked": (
-        lambda s: with_framing(s, magic=b""),
+        lambda s: with_reader(s, IgnoresMagic),
         "damaged_headers_cost_little",
-        "mixes two frames",
+        "is still taken for a frame: check the magic",
     ),
     "a length that may change within a session": (
         lambda s: with_framing(s, one_length=False),
@@ -431,6 +449,7 @@ async def test_a_tail_that_is_not_checked_is_found(kilo: Subject) -> None:
 async def test_a_pushed_protocol_that_sends_is_found(kilo: Subject) -> None:
     class Talks(FramedDecoder):
         def tick(self) -> bytes | Refused:
+            """Ask."""
             return b"more"
 
     for check in ("only_allowed_bytes_are_sent", "one_request_is_outstanding"):
@@ -474,6 +493,13 @@ def test_every_check_says_what_it_checks_in_one_sentence() -> None:
         assert check.text.endswith(".")
         assert "\n" not in check.text
     assert len(BY_NAME) == len(CHECKS)
+
+
+@pytest.mark.limit(60)
+def test_the_limit_marker_raises_the_time_out(request: pytest.FixtureRequest) -> None:
+    marker = request.node.get_closest_marker("timeout")
+    assert marker is not None
+    assert marker.args == (60,)
 
 
 def test_a_frame_knows_what_it_is(kilo: Subject) -> None:

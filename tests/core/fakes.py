@@ -122,6 +122,7 @@ class FakeConnector:
     async def connect(self) -> Connection:
         """Give out the next connection."""
         self.attempts_s.append(anyio.current_time())
+        await anyio.sleep(0.01)
         outcome = self._outcomes.pop(0) if self._outcomes else LinkClosed("connection refused")
         if isinstance(outcome, Exception):
             raise outcome

@@ -26,7 +26,13 @@ def test_motion_starts_and_stops() -> None:
 
 def test_a_program_starts_pauses_resumes_and_stops() -> None:
     finder = EdgeFinder()
-    states = [ProgramState.STOPPED, ProgramState.RUNNING, ProgramState.PAUSED, ProgramState.RUNNING, ProgramState.STOPPED]
+    states = [
+        ProgramState.STOPPED,
+        ProgramState.RUNNING,
+        ProgramState.PAUSED,
+        ProgramState.RUNNING,
+        ProgramState.STOPPED,
+    ]
     found = [status_kinds(finder, Status(program=Program(state=state))) for state in states]
     assert found == [[], ["program.started"], ["program.paused"], ["program.started"], ["program.stopped"]]
 

@@ -59,7 +59,9 @@ def lost(run: Callable[[Log], tuple[FakeConnection, Session]]) -> tuple[LinkErro
     return ended[0][0], log, ended[0][1]
 
 
-def answering(answer: Callable[[bytes], Iterable[bytes]], delay_s: float = 0.001) -> tuple[LinkError, Log, FakeConnection]:
+def answering(
+    answer: Callable[[bytes], Iterable[bytes]], delay_s: float = 0.001
+) -> tuple[LinkError, Log, FakeConnection]:
     def run(log: Log) -> tuple[FakeConnection, Session]:
         connection = FakeConnection(answer, delay_s)
         return connection, session(connection, log)

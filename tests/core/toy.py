@@ -25,7 +25,11 @@ LAYOUT = Layout(
             name="word",
             offset=12,
             type="u32",
-            flags=(Flag(name="moving", bit=0), Flag(name="noise", bit=8, width=24), Flag(name="waypoint", bit=1, width=3)),
+            flags=(
+                Flag(name="moving", bit=0),
+                Flag(name="noise", bit=8, width=24),
+                Flag(name="waypoint", bit=1, width=3),
+            ),
         ),
         Field(name="run_time", offset=16, type="f32", unit="s"),
     ),

@@ -1,0 +1,169 @@
+"""Requests of the native protocol and their answers; what a client may ask for, and what it is told when it may not."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+
+import msgspec
+
+from gateway import __version__
+from gateway.api import messages
+from gateway.api.model import Event
+from gateway.core.bus import Topic
+from gateway.server.cell import Cell
+from gateway.server.outbox import QUEUED_EVENTS, QUEUED_SAMPLES, Outbox, Subscription, Wish
+from gateway.server.wire import Cut, Encoding
+
+# No topic and no name of a field is nearly as long; matching longer ones would cost the other clients time.
+_MAX_NAME = 256
+
+
+class BadRequest(Exception):  # noqa: N818 - it is an answer to the client, no error of ours
+    """A request that is refused.
+
+    Attributes:
+        code: Stable, upper case.
+    """
+
+    def __init__(self, code: str, message: str) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+def decode(encoding: Encoding, data: bytes) -> messages.Request:
+    """Read a request.
+
+    Raises:
+        BadRequest: It is none, or too large.
+    """
+    if len(data) > messages.MAX_MESSAGE_BYTES:
+        raise BadRequest("TOO_MUCH", f"a message has at most {messages.MAX_MESSAGE_BYTES} bytes, not {len(data)}")
+    try:
+        return encoding.decode(data)
+    except (msgspec.DecodeError, UnicodeError, RecursionError) as error:
+        raise BadRequest("BAD_MESSAGE", f"{error}; see docs/protocol.md") from None
+
+
+def id_of(encoding: Encoding, data: bytes) -> int | str | None:
+    """Find the id of a message that is no request, so that the client knows which one was refused."""
+    if len(data) > messages.MAX_MESSAGE_BYTES:
+        return None
+    try:
+        found = encoding.decode_any(data)
+    except (msgspec.DecodeError, UnicodeError, RecursionError):
+        return None
+    name = found.get("id") if isinstance(found, dict) else None
+    return name if isinstance(name, (int, str)) and not isinstance(name, bool) else None
+
+
+class Requests:
+    """Answers the requests of one client.
+
+    Args:
+        cell: What it may read.
+        encoding: What its samples are encoded in.
+        outbox: Where they leave.
+    """
+
+    def __init__(self, cell: Cell, encoding: Encoding, outbox: Outbox) -> None:
+        self._cell = cell
+        self._encoding = encoding
+        self._outbox = outbox
+
+    def welcome(self) -> messages.Welcome:
+        """What every client is told first."""
+        return messages.Welcome(
+            gateway=__version__,
+            robots=list(self._cell.robots),
+            last_event=self._cell.bus.events.last_name,
+            limits=messages.Limits(queued_samples=QUEUED_SAMPLES, queued_events=QUEUED_EVENTS),
+        )
+
+    def answer(self, request: messages.Request) -> messages.Result:
+        """Do what a request asks for.
+
+        Raises:
+            BadRequest: It cannot be done; nothing has changed.
+        """
+        return self._HANDLERS[type(request)](self, request)
+
+    def _subscribe(self, request: messages.Subscribe) -> messages.Result:
+        subscriptions = self._outbox.subscriptions
+        if request.id not in subscriptions and len(subscriptions) >= messages.MAX_SUBSCRIPTIONS:
+            raise BadRequest("TOO_MUCH", f"a client has at most {messages.MAX_SUBSCRIPTIONS} subscriptions")
+        if request.mode == "all" and request.rate_hz is not None:
+            raise BadRequest("BAD_REQUEST", 'mode "all" takes every sample: leave rate_hz out')
+        topics = self._matched(request.topics)
+        cut = Cut(self._encoding, None if request.fields is None else self._paths(topics, request.fields))
+        resumed = None if request.since is None else self._read_back(request.since, sys.maxsize, topics)
+        period_s = None if request.rate_hz is None else 1 / request.rate_hz
+        wish = Wish(period_s=period_s, every=request.mode == "all", cut=cut)
+        self._outbox.add(request.id, Subscription(wish, topics, self._outbox))
+        if resumed is not None:
+            self._outbox.resume(*resumed)
+        return messages.Result(id=request.id, topics=[topic.name for topic in topics])
+
+    def _unsubscribe(self, request: messages.Unsubscribe) -> messages.Result:
+        if not self._outbox.remove(request.id):
+            raise BadRequest("BAD_REQUEST", f"there is no subscription {request.id!r}")
+        return messages.Result(id=request.id)
+
+    def _get(self, request: messages.Get) -> messages.Result:
+        return messages.Result(id=request.id, samples=self._cell.latest(self._matched(request.topics)))
+
+    def _events(self, request: messages.Events) -> messages.Result:
+        events, missed = self._read_back(request.since, request.limit, self._matched(request.topics))
+        return messages.Result(id=request.id, events=events, missed=-1 if missed is None else missed)
+
+    def _robots(self, request: messages.Robots) -> messages.Result:
+        return messages.Result(id=request.id, robots=self._cell.infos())
+
+    def _describe(self, request: messages.Describe) -> messages.Result:
+        topic = self._cell.bus.topics.get(request.topic)
+        if topic is None:
+            _check_names("topic", [request.topic])
+            raise BadRequest("UNKNOWN_TOPIC", self._cell.unknown_topic([request.topic]))
+        return messages.Result(id=request.id, description=self._cell.describe(topic))
+
+    def _ping(self, request: messages.Ping) -> messages.Result:
+        return messages.Result(id=request.id, t=time.time_ns() // 1000)
+
+    def _matched(self, patterns: list[str]) -> list[Topic]:
+        _check_names("topic", patterns)
+        topics = self._cell.bus.match(patterns)
+        if not topics:
+            raise BadRequest("UNKNOWN_TOPIC", self._cell.unknown_topic(patterns))
+        return topics
+
+    def _paths(self, topics: list[Topic], fields: list[str]) -> tuple[tuple[str, ...], ...]:
+        _check_names("field", fields)
+        unknown = self._cell.unknown_fields(topics, fields)
+        if unknown:
+            raise BadRequest("UNKNOWN_FIELD", f"no matched topic has {', '.join(unknown)}; ask describe for the fields")
+        return tuple(tuple(field.split(".")) for field in dict.fromkeys(fields))
+
+    def _read_back(self, since: str | None, limit: int, topics: list[Topic]) -> tuple[list[Event], int | None]:
+        robots = {topic.robot for topic in topics if topic.group.delivery == "event"}
+        try:
+            events, missed = self._cell.bus.events.since(since, limit, lambda event: event.robot in robots)
+        except ValueError as error:
+            raise BadRequest("BAD_REQUEST", str(error)) from None
+        return events, missed if robots else 0
+
+    _HANDLERS: dict[type, Callable[..., messages.Result]] = {  # noqa: RUF012 - a table, never changed
+        messages.Subscribe: _subscribe,
+        messages.Unsubscribe: _unsubscribe,
+        messages.Get: _get,
+        messages.Events: _events,
+        messages.Robots: _robots,
+        messages.Describe: _describe,
+        messages.Ping: _ping,
+    }
+
+
+def _check_names(kind: str, names: list[str]) -> None:
+    longest = max(names, key=len)
+    if len(longest) > _MAX_NAME:
+        raise BadRequest("TOO_MUCH", f"a {kind} has at most {_MAX_NAME} characters: {longest[:20]!r}… has more")

@@ -1,0 +1,102 @@
+"""A gateway with virtual robots, for tests of this project and of integrators.
+
+    async with virtual_cell("rainbow", count=2) as cell, connect(cell.url) as client:
+        await client.subscribe(["*/joints"])
+
+Context managers for the test's own body, never fixtures: a fixture would close the task group in another task.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Mapping
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import dataclass
+from typing import cast
+
+from gateway.app import Gateway, running
+from gateway.config import parse
+from gateway.core.registry import Registry
+from gateway.sim.chaos import CALM, ChaosPlan
+from gateway.sim.scenario import Scenario
+from gateway.sim.server import VirtualController, serve
+from gateway.sim.simulator import Simulator
+
+
+@dataclass(frozen=True, slots=True)
+class VirtualCell:
+    """A running gateway and the virtual controllers that it reads.
+
+    Attributes:
+        gateway: Its bus and doors.
+        controllers: Named r1, r2 … in the gateway.
+    """
+
+    gateway: Gateway
+    controllers: tuple[VirtualController, ...]
+
+    @property
+    def url(self) -> str:
+        """The native WebSocket door."""
+        return self.gateway.url
+
+
+@asynccontextmanager
+async def virtual_cell(
+    vendor: str,
+    *,
+    protocol: str | None = None,
+    count: int = 1,
+    host: str = "127.0.0.2",
+    scenario: str | Scenario = "cell",
+    chaos: str | ChaosPlan = CALM,
+    seed: int = 0,
+    keep: int = 0,
+    settings: Mapping[str, object] | None = None,
+    registry: Registry | None = None,
+) -> AsyncIterator[VirtualCell]:
+    """Run virtual controllers and a gateway that reads them, all on free ports of this machine.
+
+    Args:
+        vendor: Name of the plugin.
+        protocol: What is spoken; None: the vendor's default.
+        count: How many controllers, on consecutive addresses.
+        host: Address of the first.
+        scenario: What happens to the robots.
+        chaos: The chaos that the connections suffer.
+        seed: For what is random.
+        keep: How many of the last frames each controller keeps with what they meant.
+        settings: Further keys of each robot's entry in the configuration, such as `rate_hz`.
+        registry: Where the plugin is found.
+
+    Raises:
+        VendorError: The plugin or its virtual controller cannot be loaded.
+        ConfigError: The settings do not fit.
+    """
+    registry = registry or Registry()
+    simulator = cast("Simulator", registry.simulator(vendor))
+    chosen = protocol or registry.vendor(vendor).protocol().name
+    async with AsyncExitStack() as stack:
+        controllers = await stack.enter_async_context(
+            serve(simulator, host=host, port=0, count=count, scenario=scenario, chaos=chaos, seed=seed, keep=keep),
+        )
+        text = '[server]\nlisten = "127.0.0.1:0"\n'
+        for number, controller in enumerate(controllers, start=1):
+            ports = dict(controller.ports)
+            entry = {
+                "name": f"r{number}",
+                "vendor": vendor,
+                "protocol": chosen,
+                "host": controller.host,
+                "port": ports[chosen],
+                **simulator.demo,
+                **(settings or {}),
+            }
+            text += "\n[[robots]]\n" + "".join(f"{key} = {_toml(value)}\n" for key, value in entry.items())
+        gateway = await stack.enter_async_context(running(parse(text, "virtual cell", registry)))
+        yield VirtualCell(gateway, controllers)
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return f'"{value}"' if isinstance(value, str) else str(value)

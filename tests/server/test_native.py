@@ -1,0 +1,429 @@
+"""The native door over real sockets."""
+
+from __future__ import annotations
+
+import math
+import tracemalloc
+from contextlib import AsyncExitStack
+
+import aiohttp
+import anyio
+import anyio.lowlevel
+import msgspec
+import pytest
+import websockets
+from websockets.asyncio.client import connect as foreign_connect
+
+from gateway.api import messages
+from gateway.api.messages import JSON_SUBPROTOCOL, MSGPACK_SUBPROTOCOL
+from gateway.core.bus import Bus
+from tests.server.kit import (
+    BOOT,
+    Robot,
+    Talk,
+    cell,
+    publish,
+    publish_status,
+    raise_event,
+    running_door,
+    talking,
+)
+
+both = pytest.mark.parametrize("protocol", [JSON_SUBPROTOCOL, MSGPACK_SUBPROTOCOL])
+
+
+async def other_is_served(bus: Bus, other: Talk, seq: int) -> None:
+    """Another client gets what is published now."""
+    publish(bus, "r2/joints", seq)
+    assert [sample["seq"] for sample in await other.samples()] == [seq]
+
+
+@both
+async def test_every_request_is_answered_in_either_encoding(protocol: str) -> None:
+    bus, robots = cell("r1", "r2")
+    publish(bus, "r1/joints", 3)
+    raise_event(bus, "r1")
+    async with running_door(bus, robots) as url, talking(url, protocol) as talk:
+        assert await talk.ask("ping", id="x") | {"t": 0} == {"op": "result", "id": "x", "t": 0}
+        subscribed = await talk.ask("subscribe", topics=["*/joints"], rate_hz=100.0, fields=["position"])
+        assert subscribed == {"op": "result", "id": 7, "topics": ["r1/joints", "r2/joints"]}
+        assert [sample["data"] for sample in await talk.samples()] == [{"position": [3.0, None]}]
+        assert await talk.ask("unsubscribe") == {"op": "result", "id": 7}
+        (sample,) = msgspec.convert((await talk.ask("get", topics=["r1/joints"]))["samples"], list[dict[str, object]])
+        assert (sample["topic"], sample["seq"], sample["q"]) == ("r1/joints", 3, "GOOD")
+        told = msgspec.convert((await talk.ask("robots"))["robots"], list[messages.RobotInfo])
+        assert [(robot.name, robot.link.state) for robot in told] == [("r1", "ONLINE"), ("r2", "ONLINE")]
+        described = msgspec.convert(
+            (await talk.ask("describe", topic="r1/joints"))["description"], messages.Description
+        )
+        assert described.sources["position"].units == ["deg"]
+        events = await talk.ask("events", since=f"{BOOT}:0", limit=5)
+        assert msgspec.convert(events["events"], list[dict[str, object]])[0]["name"] == f"{BOOT}:1"
+        assert events["missed"] == 0
+
+
+async def test_the_welcome_names_versions_robots_and_limits() -> None:
+    bus, robots = cell("r1", "r2")
+    raise_event(bus, "r1")
+    async with (
+        running_door(bus, robots) as url,
+        aiohttp.ClientSession() as session,
+        session.ws_connect(url) as socket,
+    ):
+        welcome = msgspec.json.decode((await socket.receive()).data, type=messages.Welcome)
+    assert welcome.protocol == 1
+    assert welcome.robots == ["r1", "r2"]
+    assert welcome.last_event == f"{BOOT}:1"
+    assert welcome.limits.message_bytes == 65_536
+    assert welcome.limits.subscriptions == 64
+
+
+async def test_live_samples_states_and_events_arrive() -> None:
+    bus, robots = cell("r1")
+    async with running_door(bus, robots) as url, talking(url) as talk:
+        await talk.ask("subscribe", topics=["r1/*"])
+        await talk.samples()
+        for seq in (1, 2):
+            publish(bus, "r1/joints", seq)
+            assert [sample["seq"] for sample in await talk.samples()] == [seq]
+        publish_status(bus, "r1/status", 1, in_motion=True)
+        assert [sample["topic"] for sample in await talk.samples()] == ["r1/status"]
+        raise_event(bus, "r1")
+        (event,) = msgspec.convert((await talk.receive("event"))["events"], list[dict[str, object]])
+        assert (event["kind"], event["from"], event["to"]) == ("motion.started", "STANDSTILL", "MOVING")
+
+
+async def test_mode_all_over_a_socket_has_no_hole() -> None:
+    bus, robots = cell("r1")
+    async with running_door(bus, robots) as url, talking(url) as talk:
+        await talk.ask("subscribe", topics=["r1/joints"], mode="all")
+        for seq in range(1, 501):
+            publish(bus, "r1/joints", seq)
+            if seq % 50 == 0:
+                await anyio.lowlevel.checkpoint()
+        seqs: list[object] = []
+        while len(seqs) < 500:
+            seqs += [sample["seq"] for sample in await talk.samples()]
+        assert seqs == list(range(1, 501))
+
+
+async def test_a_subscription_reads_on_after_a_named_event() -> None:
+    bus, robots = cell("r1")
+    for _ in range(4):
+        raise_event(bus, "r1")
+    async with running_door(bus, robots) as url, talking(url) as talk:
+        await talk.ask("subscribe", topics=["*/events"], since=f"{BOOT}:2")
+        events = msgspec.convert((await talk.receive("event"))["events"], list[dict[str, object]])
+        assert [event["seq"] for event in events] == [3, 4]
+        await talk.ask("subscribe", topics=["*/events"], since="before:1")
+        assert (await talk.receive("missed"))["events"] is None
+
+
+WRONG = [
+    ({"op": "zzz", "id": 7}, "BAD_MESSAGE", "zzz"),
+    ({"op": "ping"}, "BAD_MESSAGE", "id"),
+    ({"id": 7}, "BAD_MESSAGE", "op"),
+    ({"op": "ping", "id": None}, "BAD_MESSAGE", "id"),
+    ({"op": "ping", "id": True}, "BAD_MESSAGE", "id"),
+    ({"op": "ping", "id": 7, "zzz": 1}, "BAD_MESSAGE", "zzz"),
+    ({"op": "subscribe", "id": 7}, "BAD_MESSAGE", "topics"),
+    ({"op": "subscribe", "id": 7, "topics": "r1/joints"}, "BAD_MESSAGE", "topics"),
+    ({"op": "subscribe", "id": 7, "topics": []}, "BAD_MESSAGE", "topics"),
+    ({"op": "subscribe", "id": 7, "topics": [1]}, "BAD_MESSAGE", "topics"),
+    ({"op": "subscribe", "id": 7, "topics": ["r1/jonts"]}, "UNKNOWN_TOPIC", 'did you mean "r1/joints"?'),
+    ({"op": "subscribe", "id": 7, "topics": ["x" * 257]}, "TOO_MUCH", "256"),
+    ({"op": "subscribe", "id": 7, "topics": ["*/joints"], "fields": ["positio"]}, "UNKNOWN_FIELD", "positio"),
+    ({"op": "subscribe", "id": 7, "topics": ["*/joints"], "fields": []}, "BAD_MESSAGE", "fields"),
+    ({"op": "subscribe", "id": 7, "topics": ["*/joints"], "fields": ["x" * 257]}, "TOO_MUCH", "256"),
+    ({"op": "subscribe", "id": 7, "topics": ["*/joints"], "rate_hz": 0}, "BAD_MESSAGE", "rate_hz"),
+    ({"op": "subscribe", "id": 7, "topics": ["*/joints"], "rate_hz": -1}, "BAD_MESSAGE", "rate_hz"),
+    ({"op": "subscribe", "id": 7, "topics": ["*/joints"], "rate_hz": 1e9}, "BAD_MESSAGE", "rate_hz"),
+    ({"op": "subscribe", "id": 7, "topics": ["*/joints"], "rate_hz": "5"}, "BAD_MESSAGE", "rate_hz"),
+    ({"op": "subscribe", "id": 7, "topics": ["*/joints"], "mode": "some"}, "BAD_MESSAGE", "mode"),
+    ({"op": "subscribe", "id": 7, "topics": ["*/joints"], "mode": "all", "rate_hz": 5}, "BAD_REQUEST", "rate_hz"),
+    ({"op": "subscribe", "id": 7, "topics": ["*/events"], "since": "x"}, "BAD_REQUEST", "boot:seq"),
+    ({"op": "unsubscribe", "id": 8}, "BAD_REQUEST", "no subscription 8"),
+    ({"op": "get", "id": 7, "topics": ["r3/*"]}, "UNKNOWN_TOPIC", "r3/*"),
+    ({"op": "describe", "id": 7, "topic": "r1/joint"}, "UNKNOWN_TOPIC", "r1/joints"),
+    ({"op": "describe", "id": 7, "topic": "x" * 60_000}, "TOO_MUCH", "256"),
+    ({"op": "events", "id": 7, "limit": 0}, "BAD_MESSAGE", "limit"),
+    ({"op": "events", "id": 7, "since": "a:b"}, "BAD_REQUEST", "boot:seq"),
+    ([], "BAD_MESSAGE", "array"),
+    (None, "BAD_MESSAGE", "Expected `object`"),
+]
+
+
+@both
+@pytest.mark.parametrize(("request_", "code", "says"), WRONG)
+async def test_a_wrong_request_is_an_error_with_its_id_and_nothing_else(
+    protocol: str, request_: object, code: str, says: str
+) -> None:
+    bus, robots = cell("r1", "r2")
+    async with running_door(bus, robots) as url, talking(url, protocol) as talk, talking(url) as other:
+        await other.ask("subscribe", topics=["r2/joints"])
+        await talk.send(request_)
+        error = await talk.receive()
+        assert error["op"] == "error"
+        assert error["code"] == code
+        assert says in str(error["message"])
+        name = request_.get("id") if isinstance(request_, dict) else None
+        assert error["id"] == (None if name is True else name)
+        assert bus.topics["r1/joints"].listeners == []
+        assert (await talk.ask("ping"))["op"] == "result"
+        await other_is_served(bus, other, 1)
+
+
+@pytest.mark.parametrize("rate_hz", [math.nan, math.inf, -math.inf])
+async def test_msgpack_cannot_smuggle_in_a_rate_that_is_no_number(rate_hz: float) -> None:
+    bus, robots = cell()
+    async with running_door(bus, robots) as url, talking(url, MSGPACK_SUBPROTOCOL) as talk:
+        error = await talk.ask("subscribe", topics=["*/joints"], rate_hz=rate_hz)
+        assert (error["op"], error["code"]) == ("error", "BAD_MESSAGE")
+
+
+@pytest.mark.parametrize(
+    "text", ["{", "", "[" * 5000, '{"op":"ping","id":1}}', '{"op":"ping","id":' + "9" * 5000 + "}", "\0", "nul", "ä"]
+)
+async def test_malformed_json_is_an_error(text: str) -> None:
+    bus, robots = cell()
+    async with running_door(bus, robots) as url, talking(url) as talk:
+        await talk.socket.send_str(text)
+        assert (await talk.receive())["code"] == "BAD_MESSAGE"
+        assert (await talk.ask("ping"))["op"] == "result"
+
+
+@pytest.mark.parametrize("data", [b"", b"\xc1", b"\x81", b"\x91" * 5000, b"\xdf\xff\xff\xff\xff", b"\x82\xa2op"])
+async def test_malformed_msgpack_is_an_error(data: bytes) -> None:
+    bus, robots = cell()
+    async with running_door(bus, robots) as url, talking(url, MSGPACK_SUBPROTOCOL) as talk:
+        await talk.socket.send_bytes(data)
+        assert (await talk.receive())["code"] == "BAD_MESSAGE"
+        assert (await talk.ask("ping"))["op"] == "result"
+
+
+async def test_a_frame_of_the_other_kind_is_an_error() -> None:
+    bus, robots = cell()
+    async with running_door(bus, robots) as url:
+        async with talking(url) as talk:
+            await talk.socket.send_bytes(b'{"op":"ping","id":1}')
+            assert await talk.receive() == {
+                "op": "error",
+                "id": 1,
+                "code": "BAD_MESSAGE",
+                "message": "robot-gateway.v1+json takes text frames",
+            }
+        async with talking(url, MSGPACK_SUBPROTOCOL) as talk:
+            await talk.socket.send_str("x")
+            assert (await talk.receive())["message"] == "robot-gateway.v1+msgpack takes binary frames"
+
+
+@pytest.mark.parametrize("filler", ["x", "€"])
+async def test_a_message_over_64_kib_is_refused_by_its_bytes(filler: str) -> None:
+    bus, robots = cell()
+    size = len(filler.encode())
+    async with running_door(bus, robots) as url, talking(url) as talk:
+        await talk.socket.send_str(filler * (65_536 // size + 1))
+        assert (await talk.receive())["code"] == "TOO_MUCH"
+        await talk.socket.send_str('{"op":"ping","id":1' + " " * (65_536 - 20) + "}")
+        assert (await talk.receive())["op"] == "result"
+
+
+async def test_a_message_far_over_the_limit_ends_the_connection_with_1009_and_the_others_go_on() -> None:
+    bus, robots = cell()
+    async with running_door(bus, robots) as url, talking(url) as talk, talking(url) as other:
+        await other.ask("subscribe", topics=["r2/joints"])
+        await talk.socket.send_str("x" * 2_000_000)
+        assert await talk.close_code() == 1009
+        await other_is_served(bus, other, 1)
+
+
+async def test_the_65th_subscription_is_refused_and_a_known_id_replaces() -> None:
+    bus, robots = cell()
+    async with running_door(bus, robots) as url, talking(url) as talk:
+        for number in range(64):
+            assert (await talk.ask("subscribe", id=number, topics=["r1/joints"]))["op"] == "result"
+        assert (await talk.ask("subscribe", id=64, topics=["r1/joints"]))["code"] == "TOO_MUCH"
+        assert (await talk.ask("subscribe", id=63, topics=["r2/joints"]))["topics"] == ["r2/joints"]
+        assert len(bus.topics["r1/joints"].listeners) == 63
+
+
+async def test_a_refused_replacement_leaves_the_old_subscription() -> None:
+    bus, robots = cell()
+    async with running_door(bus, robots) as url, talking(url) as talk:
+        await talk.ask("subscribe", topics=["r2/joints"])
+        assert (await talk.ask("subscribe", topics=["r9/joints"]))["op"] == "error"
+        await other_is_served(bus, talk, 1)
+
+
+async def test_a_client_that_sends_only_rubbish_is_closed_with_1008_and_the_others_go_on() -> None:
+    bus, robots = cell()
+    async with running_door(bus, robots) as url, talking(url) as talk, talking(url) as other:
+        await other.ask("subscribe", topics=["r2/joints"])
+        for _ in range(33):
+            await talk.socket.send_str("rubbish")
+        assert await talk.close_code() == 1008
+        await other_is_served(bus, other, 1)
+
+
+async def test_a_client_that_errs_now_and_then_stays() -> None:
+    bus, robots = cell()
+    async with running_door(bus, robots) as url, talking(url) as talk:
+        for _ in range(3):
+            for _ in range(30):
+                await talk.send({"op": "zzz"})
+                assert (await talk.receive())["op"] == "error"
+            assert (await talk.ask("ping"))["op"] == "result"
+
+
+async def test_the_url_subscribes() -> None:
+    bus, robots = cell()
+    publish(bus, "r1/joints", 1)
+    publish(bus, "r1/status", 1)
+    async with (
+        running_door(bus, robots) as url,
+        talking(f"{url}?topics=*/joints,*/status&rate_hz=30&fields=position") as talk,
+    ):
+        answer = await talk.receive()
+        assert answer["id"] == "url"
+        assert answer["topics"] == ["r1/joints", "r1/status", "r2/joints", "r2/status"]
+        assert [sample["topic"] for sample in await talk.samples()] == ["r1/joints", "r1/status"]
+        assert (await talk.ask("unsubscribe", id="url"))["op"] == "result"
+
+
+async def test_a_url_that_names_an_unknown_topic_is_answered_in_the_protocol() -> None:
+    bus, robots = cell()
+    async with running_door(bus, robots) as url, talking(f"{url}?topics=r1/jonts") as talk:
+        assert (await talk.receive())["code"] == "UNKNOWN_TOPIC"
+
+
+@pytest.mark.parametrize("query", ["rate_hz=0", "rate_hz=nan", "rate_hz=inf", "rate_hz=x", "mode=some"])
+async def test_a_url_that_is_wrong_is_refused_before_the_handshake(query: str) -> None:
+    bus, robots = cell()
+    async with running_door(bus, robots) as url, aiohttp.ClientSession() as session:
+        with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
+            await session.ws_connect(f"{url}?topics=*/joints&{query}")
+        assert refused.value.status == 400
+
+
+async def test_a_client_that_never_reads_is_sent_away_with_1013_and_costs_bounded_memory() -> None:
+    bus, robots = cell()
+    async with running_door(bus, robots, stuck_s=0.2) as url, talking(url) as other, talking(url) as lazy:
+        await other.ask("subscribe", topics=["r2/joints"])
+        await lazy.ask("subscribe", topics=["r1/vendor"], mode="all")
+        lazy.socket._conn.transport.pause_reading()  # type: ignore[union-attr]
+        tracemalloc.start()
+        seq = 0
+        with anyio.fail_after(15):
+            while bus.topics["r1/vendor"].listeners:
+                for _ in range(500):
+                    seq += 1
+                    publish(bus, "r1/vendor", seq, {"filler": "x" * 2000})
+                await other_is_served(bus, other, seq)
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert peak < 150_000_000
+        lazy.socket._conn.transport.resume_reading()  # type: ignore[union-attr]
+        assert await lazy.close_code() == 1013
+        await other_is_served(bus, other, seq + 1)
+
+
+async def ask_for_ever(talk: Talk, question: str) -> None:
+    """Send a question until the connection ends, for 3 s at most."""
+    with anyio.fail_after(3):
+        while True:
+            await talk.socket.send_str(question)
+
+
+async def test_a_client_that_asks_and_asks_and_never_reads_is_not_read_either() -> None:
+    bus, robots = cell()
+    publish(bus, "r1/vendor", 1, {"filler": "x" * 200_000})
+    question = '{"op":"get","id":1,"topics":["r1/vendor"]}'
+    async with running_door(bus, robots, stuck_s=0.3) as url, talking(url) as lazy, talking(url) as other:
+        lazy.socket._conn.transport.pause_reading()  # type: ignore[union-attr]
+        tracemalloc.start()
+        with pytest.raises((ConnectionError, TimeoutError)):
+            await ask_for_ever(lazy, question)
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert peak < 50_000_000
+        assert (await other.ask("ping"))["op"] == "result"
+
+
+async def test_more_events_than_can_be_queued_end_with_1013() -> None:
+    bus, robots = cell("r1")
+    async with running_door(bus, robots) as url, talking(url) as talk:
+        await talk.ask("subscribe", topics=["*/events"])
+        for _ in range(10_001):
+            raise_event(bus, "r1")
+        assert await talk.close_code() == 1013
+
+
+async def test_a_client_that_vanishes_leaves_nothing_behind() -> None:
+    bus, robots = cell()
+    async with running_door(bus, robots) as url:
+        async with talking(url) as talk:
+            await talk.ask("subscribe", topics=["*"])
+            talk.socket._conn.transport.abort()  # type: ignore[union-attr]
+        with anyio.fail_after(5):
+            while any(topic.listeners for topic in bus.topics.values()):
+                publish(bus, "r1/joints", 1)
+                await anyio.sleep(0.005)
+
+
+async def subscribe_many(stack: AsyncExitStack, url: str, count: int) -> list[Talk]:
+    talks = [await stack.enter_async_context(talking(url)) for _ in range(count)]
+    for talk in talks:
+        await talk.ask("subscribe", topics=["r1/joints"])
+    return talks
+
+
+async def test_many_clients_share_one_normalised_and_encoded_sample() -> None:
+    bus, robots = cell()
+    async with running_door(bus, robots) as url, AsyncExitStack() as stack:
+        talks = await subscribe_many(stack, url, 20)
+        made = publish(bus, "r1/joints", 1)
+        for talk in talks:
+            assert len(await talk.samples()) == 1
+        assert made.asked == 1
+        assert len(made.encoded) == 1
+
+
+@both
+async def test_a_foreign_client_agrees_on_subprotocol_and_frames(protocol: str) -> None:
+    bus, robots = cell()
+    async with (
+        running_door(bus, robots) as url,
+        foreign_connect(url, subprotocols=[websockets.Subprotocol(protocol)], proxy=None) as socket,
+    ):
+        assert socket.subprotocol == protocol
+        welcome = await socket.recv()
+        assert isinstance(welcome, str) == (protocol == JSON_SUBPROTOCOL)
+        pong = await socket.ping()
+        await pong
+
+
+async def test_a_foreign_client_without_a_subprotocol_speaks_json() -> None:
+    bus, robots = cell()
+    async with running_door(bus, robots) as url, foreign_connect(url, proxy=None) as socket:
+        assert socket.subprotocol is None
+        assert msgspec.json.decode(await socket.recv())["op"] == "welcome"
+
+
+async def test_a_foreign_client_sees_the_close_codes() -> None:
+    bus, robots = cell()
+    async with running_door(bus, robots) as url:
+        async with foreign_connect(url, proxy=None) as socket:
+            for _ in range(33):
+                await socket.send("rubbish")
+            await socket.wait_closed()
+            assert (socket.close_code, socket.close_reason) == (1008, "too many wrong messages")
+        async with foreign_connect(url, proxy=None) as socket:
+            await socket.close(1000)
+            assert socket.close_code == 1000
+
+
+async def test_an_empty_cell_answers() -> None:
+    empty: list[Robot] = []
+    async with running_door(Bus(cell()[0].events), empty) as url, talking(url) as talk:
+        assert (await talk.ask("robots"))["robots"] == []
+        assert (await talk.ask("subscribe", topics=["*"]))["code"] == "UNKNOWN_TOPIC"
