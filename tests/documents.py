@@ -1,8 +1,10 @@
-"""Pages of docs/ that are made of the structs, so that they cannot fall behind; `python -m tests.generated` writes them."""
+"""Pages of docs/ that are made of the structs, so that they cannot fall behind; written by `make schema`."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+
+from enum import StrEnum
 
 from msgspec import inspect
 
@@ -13,9 +15,9 @@ _HEAD = f"""# The model
 
 What the topics hold. This page is made of the structs in `gateway/api/model.py` by `make schema`.
 
-SI units everywhere: m, rad, s, kg, N, N·m, A, V, K. A pose is a position and a unit quaternion (x, y, z, w). Arrays are ordered from base
-to flange. **Every leaf may be null, and null means "this source cannot tell": null is never 0, and 0 is never null.** UNKNOWN in an
-enumeration means that the source sent a value that nobody documents.
+SI units everywhere: m, rad, s, kg, N, N·m, A, V, K. A pose is a position and a unit quaternion (x, y, z, w). Arrays are
+ordered from base to flange. **Every leaf may be null, and null means "this source cannot tell": null is never 0, and 0 is
+never null.** UNKNOWN in an enumeration means that the source sent a value that nobody documents.
 
 {model.SAFETY_NOTICE}
 
@@ -27,7 +29,8 @@ enumeration means that the source sent a value that nobody documents.
 | event | lossless inside a bounded ring, named `boot:seq`, readable from any point; a loss is said |
 | sample | the newest value at the client's own rate; every one with `mode: "all"`, up to a bound; a loss is said |
 
-When a link goes stale or is lost, every topic gets one last sample: q set, all leaves null, `t_last` the time of the last frame.
+When a link goes stale or is lost, every topic gets one last sample: q set, all leaves null, `t_last` the time of the last
+frame.
 """
 
 
@@ -45,7 +48,7 @@ def _rows_of(group: Group) -> Iterator[str]:
     if group.struct is not None:
         yield from _table(group.struct)
     else:
-        yield "The keys are the manual's own names, the units the manual's; a word of bit fields is an object of `raw` and the bits by name."
+        yield "The keys and units are the manual's own; a word of bit fields is an object of `raw` and the bits by name."
 
 
 def _table(struct: type) -> Iterator[str]:
@@ -77,7 +80,7 @@ def _plain(type_: inspect.Type) -> tuple[dict[str, object], inspect.Type]:
         if isinstance(type_, inspect.Metadata):
             schema |= type_.extra_json_schema or {}
             type_ = type_.type
-        elif isinstance(type_, inspect.UnionType) and sum(not isinstance(t, inspect.NoneType) for t in type_.types) == 1:
+        elif isinstance(type_, inspect.UnionType):
             type_ = next(one for one in type_.types if not isinstance(one, inspect.NoneType))
         else:
             return schema, type_
@@ -109,5 +112,5 @@ def _word(type_: inspect.Type) -> str:
 def _enumerations() -> Iterator[tuple[str, list[str]]]:
     for name in dir(model):
         found = getattr(model, name)
-        if isinstance(found, type) and issubclass(found, model.StrEnum) and found is not model.StrEnum:
+        if isinstance(found, type) and issubclass(found, StrEnum) and found is not StrEnum:
             yield name, [member.value for member in found]

@@ -126,7 +126,7 @@ class FramedDecoder:
     def __init__(self, framing: Framing) -> None:
         self._framing = framing
         self._kinds = {kind.type: _Sizes(framing, kind) for kind in framing.kinds}
-        self._starts, self._headers = _plausible_headers(framing)
+        self._starts = sorted({size for sizes in self._kinds.values() for size in sizes.layouts})
         self._buffer = b""
         self._length: int | None = None
 
@@ -229,7 +229,7 @@ class FramedDecoder:
         if not sizes.longest:
             return Skipped(raw, sizes.kind.name)
         if framing.one_length and self._length is None:
-            if any(start < total and raw[start : start + framing.header] in self._headers for start in self._starts):
+            if any(self._begins(raw, start) for start in self._starts):
                 return "straddle", f"{sizes.kind.name} of {total} bytes holds the header of another"
             self._length = total
         exact = sizes.layouts.get(total)
@@ -237,13 +237,26 @@ class FramedDecoder:
             return Frame(raw, exact, framing.layout_at)
         return Frame(raw, sizes.layouts[sizes.longest], framing.layout_at, Quality.UNCERTAIN)
 
+    def _begins(self, raw: bytes, at: int) -> bool:
+        """Whether a state frame may begin inside another, where one of a known size would have ended.
+
+        Without a checksum this is what shows a damaged or wrong length that reaches into the next frame, however the
+        stream is cut.
+        """
+        promised = self._promised(raw, at)
+        if promised is None or not raw.startswith(self._framing.magic, at):
+            return False
+        type_at = self._framing.type_at
+        sizes = self._kinds.get(None if type_at is None else raw[at + type_at])
+        return sizes is not None and sizes.longest > 0 and sizes.allow(promised)
+
 
 class Polled:
     """The discipline of a protocol that answers one request with one frame, and numbers neither.
 
     One request is outstanding, never two: a late answer would be taken for the next one, and every following sample
-    would be one request old. A frame that nobody asked for, or bytes that stay unexplained before the next request, mean
-    that the stream is out of step: only a new session helps.
+    would be one request old. A frame that nobody asked for, or bytes that stay unexplained before the next request,
+    mean that the stream is out of step: only a new session helps.
 
     Args:
         decoder: Finds the frames.
@@ -332,26 +345,3 @@ def _partial_magic(buffer: bytes, magic: bytes, at: int) -> int:
         if magic.startswith(buffer[start:]):
             return start
     return len(buffer)
-
-
-def _plausible_headers(framing: Framing) -> tuple[tuple[int, ...], frozenset[bytes]]:
-    """The known state sizes, and the headers that a following frame of a known size would have.
-
-    A frame without a checksum whose damaged length reaches into the next frame shows that frame's header where its own
-    true end is: so it is noticed, however the stream is cut.
-    """
-    starts: list[int] = []
-    headers: set[bytes] = set()
-    width = TYPES[framing.length_type][2]
-    for kind in framing.kinds:
-        for layout in kind.layouts:
-            size = _total(framing, layout)
-            header = bytearray(framing.header)
-            header[: len(framing.magic)] = framing.magic
-            length = (size - framing.length_adds).to_bytes(width, framing.byteorder)
-            header[framing.length_at : framing.length_at + width] = length
-            if framing.type_at is not None and kind.type is not None:
-                header[framing.type_at] = kind.type
-            starts.append(size)
-            headers.add(bytes(header))
-    return tuple(starts), frozenset(headers)

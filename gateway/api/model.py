@@ -1,8 +1,8 @@
 """The canonical model: what every robot is told in, whatever its vendor.
 
 SI units (m, rad, s, kg, N, N·m, A, V, K); poses are a position and a unit quaternion (x, y, z, w); arrays are ordered
-from base to flange. Every leaf may be null, and null means "this source cannot tell": it is never 0, and 0 is never null.
-For information only; not for functional safety (IEC 61508).
+from base to flange. Every leaf may be null, and null means "this source cannot tell": it is never 0, and 0 is never
+null. For information only; not for functional safety (IEC 61508).
 """
 
 from __future__ import annotations

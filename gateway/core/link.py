@@ -18,6 +18,7 @@ from gateway.core.bus import Bus, Origin, Topic, ValueReading
 from gateway.core.clock import Clock, Timeline
 from gateway.core.counters import LinkCounters
 from gateway.core.publisher import Publisher
+from gateway.core.repeats import Repeats
 from gateway.core.session import Session
 from gateway.core.settings import BrokenRobot, RobotSettings
 from gateway.core.transport import Connector
@@ -61,7 +62,8 @@ class Link:
         self._epochs = 0
         self._boot = secrets.token_hex(4)
         self._first_frame = True
-        self._logged: tuple[object, ...] | None = None
+        self._repeats = Repeats()
+        self._outcome = LinkState.DISCONNECTED  # how the last attempt went
         self._data = LinkData(
             state=LinkState.DISCONNECTED,
             reason="not tried yet",
@@ -139,6 +141,7 @@ class Link:
     def _online(self, frame: Frame) -> None:
         """The first good frame of a session, or after a silence."""
         self._first_frame = False
+        self._outcome = LinkState.ONLINE
         self._delays = self._new_delays()
         before = self._data.state
         extra = len(frame.raw) - frame.start - frame.layout.size if frame.quality is Quality.UNCERTAIN else 0
@@ -146,8 +149,8 @@ class Link:
         attempts = self._data.attempts
         self._enter(LinkState.ONLINE, None, attempts=0, layout=layout)
         self._raise(EventKind.LINK_ONLINE, before, LinkState.ONLINE, None)
-        self._log.info("link.connected", peer=self._connector.peer, attempts=attempts, layout=layout)
-        self._logged = None
+        if self._repeats.recovery():
+            self._log.info("link.connected", peer=self._connector.peer, attempts=attempts, layout=layout)
 
     def _lost(self, state: LinkState, reason: str, delay_s: float | None = None) -> float:
         """Say that the session is lost, or that there was none, and when the next attempt is due."""
@@ -170,12 +173,14 @@ class Link:
                 None if last_s is None else self._timeline_at(last_s),
             )
             self._raise(EventKind.LINK_LOST, LinkState.ONLINE, state, reason)
-        signature = (state, was_online)
-        if state is LinkState.INCOMPATIBLE and self._logged != signature:
-            self._raise(EventKind.LINK_INCOMPATIBLE, self._data.state, state, reason)
-        if self._logged != signature:  # a failure that repeats is logged once
-            self._logged = signature
-            self._log.warning("link.lost", reason=reason, state=state.value, peer=self._connector.peer)
+        if state is LinkState.INCOMPATIBLE and self._outcome is not LinkState.INCOMPATIBLE:
+            self._raise(EventKind.LINK_INCOMPATIBLE, self._outcome, state, reason)
+        self._outcome = state
+        n_repeats = self._repeats.loss(state, self._clock.monotonic())
+        if n_repeats is None:
+            return
+        log = self._log.bind(n_repeats=n_repeats) if n_repeats else self._log
+        log.warning("link.lost", reason=reason, state=state.value, peer=self._connector.peer)
 
     def _timeline_at(self, monotonic_s: float) -> int:
         ago_us = int((self._clock.monotonic() - monotonic_s) * 1e6)

@@ -138,12 +138,13 @@ class Client:
         self._outbox.close()
         try:
             with anyio.move_on_after(_CLOSE_S, shield=True):
-                with contextlib.suppress(ConnectionError):
-                    await self._socket.close(code=code, message=reason.encode())
-                while self._transport.get_write_buffer_size():
+                with contextlib.suppress(ConnectionError):  # aiohttp's own drain fails after one that was cancelled
+                    await self._socket.close(code=code, message=reason.encode(), drain=False)
+                while self._transport.get_write_buffer_size():  # noqa: ASYNC110 - a transport has no event for it
                     await anyio.sleep(_CLOSE_S / 100)
         finally:
-            self._transport.abort()
+            if self._transport.get_write_buffer_size() or not self._transport.is_closing():
+                self._transport.abort()
             self._taken.set()
 
     async def _read(self) -> None:

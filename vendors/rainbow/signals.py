@@ -1,8 +1,8 @@
 """From the fields of the Rainbow state frame to the canonical model, traps included.
 
 What the controller does not send stays null: joint velocity, acceleration and effort, the operating mode, the flange
-pose, the program's name and line. Bits that only v6.10 describes may be unfilled on an older box, whose frames look the same:
-their 1 is told, their 0 is "cannot tell".
+pose, the program's name and line. Bits that only v6.10 describes may be unfilled on an older box, whose frames look the
+same: their 1 is told, their 0 is "cannot tell".
 """
 
 from __future__ import annotations
