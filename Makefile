@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 SECONDS_OF_SOAK ?= 60
 
-.PHONY: help demo test check lint bench soak schema clean
+.PHONY: help demo test check lint bench soak generated clean
 
 help: ## Show the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*##/\t/' | expand -t 10
@@ -37,8 +37,7 @@ bench: $(STAMP) ## Measure; every figure with its ratio to a baseline of the sam
 soak: $(STAMP) ## The acceptance runs at their full length
 	SOAK_SECONDS=$(SECONDS_OF_SOAK) $(BIN)/pytest -m soak -s
 
-schema: $(STAMP) ## Write the generated files in config/ anew
-	$(BIN)/robot-gateway check --schema > config/gateway.schema.json
+generated: $(STAMP) ## Write the generated files in config/ and docs/ anew
 	$(BIN)/python -m tests.generated
 
 clean: ## Remove everything that was made

@@ -30,6 +30,7 @@ _CLOSE_S = 1.0
 _ENCODER = msgspec.json.Encoder()
 _DECODER: msgspec.json.Decoder[messages.Response] = msgspec.json.Decoder(messages.Response)
 _NOT_A_GATEWAY = "it answers, but not as a gateway does: is this the right port?"
+_SILENT = f"no gateway answers: nothing came within {_CONNECT_S:g} s; is this the right port?"
 Pushed = messages.Data | messages.EventMessage | messages.Missed
 _Part = TypeVar("_Part")
 
@@ -183,16 +184,21 @@ async def connect(url: str) -> AsyncIterator[Client]:
     """
     async with aiohttp.ClientSession(timeout=aiohttp.ClientTimeout(total=None)) as session:
         with anyio.move_on_after(_CONNECT_S) as patience:
-            client, socket = await _open(session, url)
+            socket = await _open(session, url)
         if patience.cancelled_caught:
-            raise ClientError(url, f"no gateway answers: nothing came within {_CONNECT_S:g} s; is this the right port?")
+            raise ClientError(url, _SILENT)
         async with socket:
+            client = Client(socket, url)
+            with anyio.move_on_after(_CONNECT_S) as patience:
+                await client.greet()
+            if patience.cancelled_caught:
+                raise ClientError(url, _SILENT)
             yield client
 
 
-async def _open(session: aiohttp.ClientSession, url: str) -> tuple[Client, aiohttp.ClientWebSocketResponse]:
+async def _open(session: aiohttp.ClientSession, url: str) -> aiohttp.ClientWebSocketResponse:
     try:
-        socket = await session.ws_connect(
+        return await session.ws_connect(
             url,
             protocols=(messages.JSON_SUBPROTOCOL,),
             max_msg_size=0,
@@ -201,15 +207,12 @@ async def _open(session: aiohttp.ClientSession, url: str) -> tuple[Client, aioht
         )
     except (aiohttp.ClientError, OSError, ValueError) as error:
         raise ClientError(url, _advice(error)) from None
-    client = Client(socket, url)
-    await client.greet()
-    return client, socket
 
 
 def _advice(error: Exception) -> str:
     """Say why a gateway cannot be reached, and what to do."""
     match error:
-        case aiohttp.InvalidURL() | ValueError():
+        case aiohttp.InvalidURL() | aiohttp.NonHttpUrlClientError() | ValueError():
             return "not an address of a gateway; one looks like ws://127.0.0.1:8765/ws"
         case aiohttp.WSServerHandshakeError(status=404):
             return "a server answers, but it has no such door (HTTP 404): the path of a gateway is /ws"

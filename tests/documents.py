@@ -1,4 +1,4 @@
-"""Pages of docs/ that are made of the structs, so that they cannot fall behind; written by `make schema`."""
+"""Pages of docs/ that are made of the structs, so that they cannot fall behind; written by `make generated`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gateway.api.model import GROUPS, Group, Sample
 
 _HEAD = f"""# The model
 
-What the topics hold. This page is made of the structs in `gateway/api/model.py` by `make schema`.
+What the topics hold. This page is made of the structs in `gateway/api/model.py` by `make generated`.
 
 SI units everywhere: m, rad, s, kg, N, N·m, A, V, K. A pose is a position and a unit quaternion (x, y, z, w). Arrays are
 ordered from base to flange. **Every leaf may be null, and null means "this source cannot tell": null is never 0, and 0 is

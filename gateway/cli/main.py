@@ -70,15 +70,26 @@ app = typer.Typer(
 )
 
 
+def _version(*, asked: bool) -> None:
+    if asked:
+        typer.echo(f"robot-gateway {__version__}")
+        raise typer.Exit
+
+
 @app.callback()
 def main(
     *,
-    version: Annotated[bool, typer.Option("--version", help="Print the version and end.")] = False,
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version",
+            is_eager=True,
+            callback=lambda value: _version(asked=value),
+            help="Print the version and end.",
+        ),
+    ] = False,
 ) -> None:
     """Hold the options that come before the command."""
-    if version:
-        typer.echo(f"robot-gateway {__version__}")
-        raise typer.Exit
 
 
 def run() -> NoReturn:

@@ -38,7 +38,7 @@ def status(
     Examples:
       robot-gateway status
       robot-gateway status --watch
-      robot-gateway status --json | jq '.[] | select(.link.state != "ONLINE") | .name'
+      robot-gateway status --json | jq '.[] | [.name, .link.state]'
     """  # noqa: D301 - the \b keeps the lines apart
     if watch and as_json:
         fail(

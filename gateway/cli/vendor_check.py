@@ -12,6 +12,7 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
+from gateway import logs
 from gateway.cli.common import fail
 from gateway.core.registry import Registry
 from gateway.errors import ConfigError, UnknownVendor, VendorError
@@ -55,6 +56,7 @@ def vendor_check(
         fail(str(error), USAGE)
     except VendorError as error:
         fail(str(error), FAILURE)
+    logs.configure("error")  # the end-to-end check runs a gateway, whose log is not the question here
     outcomes = anyio.run(_report, found)
     counts = {result: sum(outcome.result == result for outcome in outcomes) for result in _COLOURS}
     typer.echo(", ".join(f"{count} {result}" for result, count in counts.items()))

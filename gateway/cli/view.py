@@ -192,7 +192,7 @@ def _leaf_text(key: str, value: object, units: Mapping[str, str], width: int) ->
 def _number(value: object, digits: int) -> str:
     """One of several numbers, in a column of its own."""
     if isinstance(value, float):
-        return f"{value:{digits + 4}.{digits}f}" if abs(value) < _LARGE else f"{value:{digits + 4}.2g}"
+        return f"{value:{digits + 3}.{digits}f}" if abs(value) < _LARGE else f"{value:{digits + 3}.2g}"
     return _scalar(value)
 
 

@@ -28,6 +28,7 @@ _PATIENCE = 32
 _UNREAD_ANSWERS = 1 << 20
 _CLOSE_S = 1.0
 _HEARTBEAT_S = 30.0
+_STOPPING = "the gateway is stopping"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +51,7 @@ class Clients(set["Client"]):
         """Tell every client that the gateway is going; one that does not listen holds nobody up."""
         async with anyio.create_task_group() as tasks:
             for client in self:
-                tasks.start_soon(client.close, WSCloseCode.GOING_AWAY, "the gateway is stopping")
+                tasks.start_soon(client.close, WSCloseCode.GOING_AWAY, _STOPPING)
 
 
 CELL = web.AppKey("cell", Cell)
@@ -78,8 +79,8 @@ async def websocket(request: web.Request) -> web.StreamResponse:
         await client.serve(asked)
     finally:
         request.app[CLIENTS].discard(client)
-        if client.sent_away is None:
-            log.debug("subscriber.disconnected", reason=str(socket.close_code))
+        if client.sent_away in {None, _STOPPING}:
+            log.debug("subscriber.disconnected", reason=client.sent_away or str(socket.close_code))
         else:
             log.info("subscriber.sent_away", reason=client.sent_away)
     return socket

@@ -80,6 +80,6 @@ async def running_cell(name: str = "r1") -> AsyncIterator[Gateway]:
         """
         async with running(parse(text, "test", registry)) as gateway:
             with anyio.fail_after(5):
-                while gateway.bus.events.last_seq == 0:
+                while gateway.bus.events.last_seq == 0:  # noqa: ASYNC110 - the bus has no event for it
                     await anyio.sleep(0.01)
             yield gateway

@@ -1,0 +1,36 @@
+"""Writes the generated files of the repository anew: `make generated`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+from gateway.cli.demo import demo_toml
+from gateway.config.printing import json_schema
+from gateway.core.registry import Registry
+from tests.documents import model_page
+
+ROOT = Path(__file__).parents[1]
+
+
+def generated() -> dict[Path, str]:
+    """What each generated file must say."""
+    registry = Registry()
+    schema = json.dumps(json_schema(registry), indent=2, ensure_ascii=False) + "\n"
+    return {
+        ROOT / "config" / "demo.toml": demo_toml(registry),
+        ROOT / "config" / "gateway.schema.json": schema,
+        ROOT / "docs" / "model.md": model_page(),
+    }
+
+
+def main() -> None:
+    """Write every file."""
+    for path, text in generated().items():
+        path.write_text(text, "utf-8")
+        sys.stdout.write(f"{path.relative_to(ROOT)}\n")
+
+
+if __name__ == "__main__":
+    main()
