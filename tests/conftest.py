@@ -6,6 +6,7 @@ import os
 
 import hypothesis
 import pytest
+import structlog
 
 hypothesis.settings.register_profile("dev", deadline=None, max_examples=50)
 hypothesis.settings.register_profile("ci", deadline=None, max_examples=300, derandomize=True, print_blob=True)
@@ -19,3 +20,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if limit is not None:
             (seconds,) = limit.args
             item.add_marker(pytest.mark.timeout(seconds))
+
+
+@pytest.fixture(autouse=True)
+def _fresh_log() -> None:
+    """Undo what a test, or a command that it called, has set up for the log."""
+    structlog.reset_defaults()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-
 from enum import StrEnum
 
 from msgspec import inspect
@@ -16,8 +15,8 @@ _HEAD = f"""# The model
 What the topics hold. This page is made of the structs in `gateway/api/model.py` by `make generated`.
 
 SI units everywhere: m, rad, s, kg, N, N·m, A, V, K. A pose is a position and a unit quaternion (x, y, z, w). Arrays are
-ordered from base to flange. **Every leaf may be null, and null means "this source cannot tell": null is never 0, and 0 is
-never null.** UNKNOWN in an enumeration means that the source sent a value that nobody documents.
+ordered from base to flange. **Every leaf may be null, and null means "this source cannot tell": null is never 0, and 0
+is never null.** UNKNOWN in an enumeration means that the source sent a value that nobody documents.
 
 {model.SAFETY_NOTICE}
 
@@ -29,8 +28,8 @@ never null.** UNKNOWN in an enumeration means that the source sent a value that 
 | event | lossless inside a bounded ring, named `boot:seq`, readable from any point; a loss is said |
 | sample | the newest value at the client's own rate; every one with `mode: "all"`, up to a bound; a loss is said |
 
-When a link goes stale or is lost, every topic gets one last sample: q set, all leaves null, `t_last` the time of the last
-frame.
+When a link goes stale or is lost, every topic gets one last sample: q set, all leaves null, `t_last` the time of the
+last frame.
 """
 
 
@@ -48,7 +47,7 @@ def _rows_of(group: Group) -> Iterator[str]:
     if group.struct is not None:
         yield from _table(group.struct)
     else:
-        yield "The keys and units are the manual's own; a word of bit fields is an object of `raw` and the bits by name."
+        yield "The keys and units are the manual's own; a word of bit fields is an object of `raw` and its bits."
 
 
 def _table(struct: type) -> Iterator[str]:

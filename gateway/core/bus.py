@@ -84,9 +84,10 @@ class FrameStream:
         quality: Worst quality of every frame: UNCERTAIN where they are longer than the layout.
         origin: Where they come from.
         on_bad: Called when a group held NaN or infinity.
+        on_broken: Called when a plugin's function raised in a group.
     """
 
-    __slots__ = ("epoch", "on_bad", "origin", "quality", "readers")
+    __slots__ = ("epoch", "on_bad", "on_broken", "origin", "quality", "readers")
 
     def __init__(
         self,
@@ -95,12 +96,14 @@ class FrameStream:
         quality: Quality,
         origin: Origin,
         on_bad: Callable[[], None],
+        on_broken: Callable[[str, Exception], None],
     ) -> None:
         self.epoch = epoch
         self.readers = readers
         self.quality = quality
         self.origin: Origin = origin
         self.on_bad = on_bad
+        self.on_broken = on_broken
 
 
 class FrameReading:
@@ -130,7 +133,11 @@ class FrameReading:
 
     def _normalised(self, topic: Topic, reader: Reader) -> Sample:
         stream = self.stream
-        data, bad = reader.read(self.frame.raw, self.frame.start)
+        try:
+            data, bad = reader.read(self.frame.raw, self.frame.start)
+        except Exception as error:  # noqa: BLE001 - a plugin's mistake costs its group, not the link or a subscriber
+            stream.on_broken(topic.group.name, error)
+            data, bad = reader.empty, True
         quality = reader.quality
         if stream.quality is not Quality.GOOD:
             quality = worst(quality, stream.quality)

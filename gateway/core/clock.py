@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from typing import Protocol
 
@@ -31,6 +32,15 @@ class SystemClock:
     def utc_us(self) -> int:
         """µs since 1970 UTC."""
         return time.time_ns() // 1000
+
+
+def deadline_s(at_s: float) -> float:
+    """The deadline of a scope that ends at a monotonic time: the next whole millisecond.
+
+    uvloop's timers have no finer steps: a deadline between two of them makes anyio set it again and again until it is
+    there, which costs up to a millisecond of CPU for each wait.
+    """
+    return math.ceil(at_s * 1000) / 1000 if at_s < math.inf else math.inf
 
 
 class Timeline:

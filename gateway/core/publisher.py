@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import cast
 
 import msgspec
+import structlog
 
 from gateway.api.compiler import Reader, raw_values
 from gateway.api.decoder import Frame
@@ -14,6 +15,8 @@ from gateway.api.normaliser import Normaliser
 from gateway.core.bus import Bus, FrameReading, FrameStream, Origin, Topic, ValueReading
 from gateway.core.clock import Timeline
 from gateway.core.edges import Edge, EdgeFinder
+
+_LOG = structlog.get_logger()
 
 
 class _State:
@@ -41,7 +44,7 @@ class Publisher:
         origin: Where the frames come from.
 
     Attributes:
-        bad_values: How many groups held NaN or infinity.
+        bad_values: How many groups held NaN or infinity, or could not be read.
     """
 
     def __init__(self, robot: str, bus: Bus, normaliser: Normaliser, origin: Origin) -> None:
@@ -58,6 +61,8 @@ class Publisher:
         self._stream: FrameStream | None = None
         self._samples: list[Topic] = []
         self._states: list[_State] = []
+        self._robot = robot
+        self._broken: set[str] = set()
         self.bad_values = 0
 
     @property
@@ -118,7 +123,9 @@ class Publisher:
     def _new_stream(self, frame: Frame) -> FrameStream:
         readers = self._normaliser.readers(frame.layout)
         self._layout = frame.layout
-        self._stream = FrameStream(self._epoch, readers, frame.quality, self._origin, self._count_bad)
+        self._stream = FrameStream(
+            self._epoch, readers, frame.quality, self._origin, self._count_bad, self._report_broken
+        )
         topics = {group: topic for group, topic in self._topics.items() if group in readers}
         self._samples = [topic for topic in topics.values() if topic.group.delivery == "sample"]
         self._states = [
@@ -156,6 +163,12 @@ class Publisher:
 
     def _count_bad(self) -> None:
         self.bad_values += 1
+
+    def _report_broken(self, group: str, error: Exception) -> None:
+        """Log a plugin's mistake once a group; the group is null with q BAD, and counted, for as long as it lasts."""
+        if group not in self._broken:
+            self._broken.add(group)
+            _LOG.error("group.failed", robot=self._robot, topic=f"{self._robot}/{group}", exc_info=error)
 
     def _empty_vendor(self) -> object:
         return self._normaliser.readers(self._layout)["vendor"].empty if self._layout else {}

@@ -10,7 +10,7 @@ import anyio
 
 from gateway.api.decoder import Decoder, Event, Frame, Refused, Reject
 from gateway.api.vendor import OnStale
-from gateway.core.clock import Clock
+from gateway.core.clock import Clock, deadline_s
 from gateway.core.transport import Connection
 from gateway.errors import LinkError, LinkRefused, LinkStale
 
@@ -89,16 +89,16 @@ class Session:
                     await self._say(goodbye)
 
     async def _read(self) -> None:
-        deadline_s = self._now() + self._stale_s
+        stale_at_s = self._now() + self._stale_s
         while True:
-            with anyio.CancelScope(deadline=deadline_s) as watchdog:
+            with anyio.CancelScope(deadline=deadline_s(stale_at_s)) as watchdog:
                 await self._read_under(watchdog)
             reason = self._silence()
             if self._on_stale == "close":
                 reason = self._silence(self._decoder.end())
                 raise LinkStale(reason)
             self._sink.silent(reason)
-            deadline_s = math.inf
+            stale_at_s = math.inf
 
     async def _read_under(self, watchdog: anyio.CancelScope) -> None:
         """Read; every good frame moves the deadline of the watchdog on."""
@@ -106,18 +106,27 @@ class Session:
         while True:
             data = await self._connection.receive()
             at_s = self._now()
-            events = self._decoder.feed(data)
+            events = self._decoded(data)
             self._note(len(data), events, at_s, self._now() - at_s)
             for event in events:
                 if isinstance(event, Frame):
                     if not lazy_s < watchdog.deadline - at_s < math.inf:
-                        watchdog.deadline = at_s + self._stale_s
+                        watchdog.deadline = deadline_s(at_s + self._stale_s)
                 elif isinstance(event, Refused):
                     raise LinkRefused(event.reason, event.kind)
             owed = self._decoder.outgoing()
             if owed or self._overdue:
                 self._owed += owed
                 self._wake.set()
+
+    def _decoded(self, data: bytes) -> Sequence[Event]:
+        """What the decoder makes of the bytes; its mistake ends a session, but never one that must not be dropped."""
+        try:
+            return self._decoder.feed(data)
+        except Exception as error:
+            if self._on_stale == "close":
+                raise
+            return [Reject(data, "plugin", f"the decoder raised {error!r}")]
 
     async def _ask(self) -> None:
         """Send what the decoder owes: at once what it answers, at the period what it asks. The only sender."""
@@ -136,7 +145,7 @@ class Session:
                 due_s = max(due_s + self._period_s, now - self._period_s) if asked else now + self._period_s
             if owed:
                 await self._connection.send(owed)
-            with anyio.CancelScope(deadline=due_s):
+            with anyio.CancelScope(deadline=deadline_s(due_s)):
                 await self._wake.wait()
 
     async def _say(self, data: bytes) -> None:

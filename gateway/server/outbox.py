@@ -16,6 +16,7 @@ import anyio
 from gateway.api.messages import Missed
 from gateway.api.model import Event
 from gateway.core.bus import Reading, Topic
+from gateway.core.clock import deadline_s
 from gateway.server.inbox import Every, Inbox, Newest, Rated
 from gateway.server.wire import Cut, Encoding, encode_events, encode_response
 
@@ -176,9 +177,7 @@ class Outbox:
         """Wait until something is due."""
         while self.due_s > self.now():
             self._wake = anyio.Event()
-            # Whole milliseconds: uvloop's clock has no finer steps, and a deadline between two of them spins.
-            whole_s = math.ceil(self.due_s * 1000) / 1000 if self.due_s < math.inf else math.inf
-            with anyio.CancelScope(deadline=whole_s):
+            with anyio.CancelScope(deadline=deadline_s(self.due_s)):
                 await self._wake.wait()
 
     def collect(self) -> list[bytes]:

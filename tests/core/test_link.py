@@ -5,7 +5,6 @@ from typing import cast
 
 import anyio
 import pytest
-import structlog
 from structlog.testing import capture_logs
 
 from gateway.api.model import Event, LinkStats, Sample
@@ -168,7 +167,6 @@ def test_a_faulty_plugin_faults_its_link_and_is_tried_again_slowly() -> None:
         await anyio.sleep(10)
         assert link_of(bus).state == "ONLINE"
 
-    structlog.reset_defaults()
     while_running(FakeConnector(Broken(), FakeConnection(good)), look)
 
 
@@ -179,7 +177,6 @@ def test_a_failure_that_repeats_is_logged_once_and_so_is_the_recovery() -> None:
         assert [log["event"] for log in logs] == ["link.lost", "link.connected"]
         assert logs[1]["attempts"] == 6
 
-    structlog.reset_defaults()
     refused = [LinkClosed("connection refused") for _ in range(5)]
     while_running(FakeConnector(*refused, FakeConnection(good)), look)
 

@@ -4,10 +4,12 @@ import math
 from typing import cast
 
 import anyio
+from structlog.testing import capture_logs
 
 from gateway.api.decoder import Frame
-from gateway.api.model import Event, Joints, Quality, Sample, Status
+from gateway.api.model import Event, Joints, Motion, Quality, Sample, Status
 from gateway.api.normaliser import Normaliser
+from gateway.api.signals import Signal
 from gateway.core.bus import Bus, Reading, Topic
 from gateway.core.clock import Timeline
 from gateway.core.events import EventRing
@@ -152,5 +154,25 @@ def test_a_frame_longer_than_its_layout_is_uncertain() -> None:
         bench = Bench("r1/joints")
         bench.publisher.frame(Frame(toy.frame(extra=8), toy.LAYOUT, quality=Quality.UNCERTAIN), 0.0)
         assert bench.inbox.samples[0].q == "UNCERTAIN"
+
+    in_loop(test)
+
+
+def test_a_plugins_mistake_costs_its_group_and_is_logged_once() -> None:
+    def test() -> None:
+        def broken(moving: int) -> Motion:
+            raise ZeroDivisionError(moving)
+
+        bench = Bench()
+        signals = (toy.SIGNALS[0], Signal("status.motion", "word.moving", broken))
+        bench.publisher = Publisher("r2", bench.bus, Normaliser(signals, {}), "live")
+        bench.publisher.begin("e1", Timeline(LoopClock()))
+        with capture_logs() as logs:
+            bench.publisher.frame(Frame(toy.frame(word=0), toy.LAYOUT), 0.0)
+            bench.publisher.frame(Frame(toy.frame(word=1), toy.LAYOUT), 0.0)
+        status = bench.latest("r2/status")
+        assert (status.q, status.data) == ("BAD", Status())
+        assert bench.latest("r2/joints").q == "GOOD"
+        assert [log["event"] for log in logs] == ["group.failed"]
 
     in_loop(test)
