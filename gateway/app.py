@@ -11,6 +11,7 @@ import anyio
 import structlog
 
 from gateway import __version__
+from gateway.api.vendor import Transport
 from gateway.config import Config
 from gateway.core.bus import Bus
 from gateway.core.clock import Clock, SystemClock
@@ -18,6 +19,7 @@ from gateway.core.events import EventRing
 from gateway.core.link import Link, announce_broken
 from gateway.core.settings import BrokenRobot, RobotSettings
 from gateway.core.transport import Connector, TcpClient
+from gateway.core.udp import UdpClient
 from gateway.server.cell import Cell
 from gateway.server.http import listening
 
@@ -47,7 +49,12 @@ class Gateway:
 
 def connector_of(robot: RobotSettings) -> Connector:
     """How a robot is reached."""
-    return TcpClient(robot.host, robot.port)
+    return connector(robot.protocol.transport(robot.options), robot.host, robot.port)
+
+
+def connector(transport: Transport, host: str, port: int) -> Connector:
+    """What opens connections over a transport."""
+    return UdpClient(host, port) if transport == "udp" else TcpClient(host, port)
 
 
 @asynccontextmanager

@@ -75,7 +75,15 @@ class LinkError(GatewayError):
 
 
 class LinkClosed(LinkError):
-    """The connection could not be opened, or has ended."""
+    """The connection could not be opened, or has ended.
+
+    Attributes:
+        refused: The controller is there, but nothing listens on the port.
+    """
+
+    def __init__(self, reason: str, *, refused: bool = False) -> None:
+        super().__init__(reason)
+        self.refused = refused
 
 
 class LinkStale(LinkError):

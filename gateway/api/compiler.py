@@ -16,7 +16,7 @@ from typing import cast
 import msgspec
 
 from gateway.api import model, units
-from gateway.api.layout import TYPES, Field, Flag, Layout
+from gateway.api.layout import STRINGS, Field, Flag, Layout
 from gateway.api.rotations import POSE_FROM, pose_without_rotation
 from gateway.api.signals import Signal, find_source, leaf
 
@@ -118,10 +118,31 @@ def raw_values(layout: Layout, raw: bytes, start: int, sources: Sequence[str]) -
         if not field.present:
             found[source] = None
             continue
-        values: list[object] = list(_struct(layout, [field]).unpack_from(raw, start))
+        values = [field.shown(word) for word in _struct(layout, [field]).unpack_from(raw, start)]
         shown = [_finite(value if flag is None else _flag_value(cast("int", value), flag)) for value in values]
         found[source] = shown[0] if field.count is None else shown
     return found
+
+
+def compile_words(layout: Layout, sources: Sequence[str]) -> Callable[[bytes, int], tuple[int | float, ...]] | None:
+    """Compile the reader of all elements of some fields, in the order they are named; None where one is cut off."""
+    fields = [find_source(layout, source)[0] for source in sources]
+    if any(field.present < field.elements for field in fields):
+        return None
+    here = sorted(fields, key=lambda field: field.offset)
+    words = _struct(layout, here)
+    slots: dict[str, range] = {}
+    at = 0
+    for field in here:
+        slots[field.name] = range(at, at + field.elements)
+        at += field.elements
+    order = [slot for field in fields for slot in slots[field.name]]
+
+    def read(raw: bytes, start: int) -> tuple[int | float, ...]:
+        found = words.unpack_from(raw, start)
+        return tuple(found[slot] for slot in order)
+
+    return read
 
 
 class _Words:
@@ -135,7 +156,8 @@ class _Words:
         names = iter(f"v{number}" for number in range(sum(field.present for field in self.fields)))
         self._refs = {field.name: [next(names) for _ in range(field.present)] for field in self.fields}
         self.count = sum(field.present for field in self.fields)
-        self.has_floats = any(field.is_float for field in self.fields)
+        self.floats = [ref for field in self.fields if field.is_float for ref in self._refs[field.name]]
+        self.opaque = [(self._refs[field.name][0], field.type) for field in self.fields if field.is_opaque]
 
     def whole(self, field: Field) -> list[str | None]:
         """The variable of each element; None for one that the frame does not carry."""
@@ -167,7 +189,7 @@ def _packing(layout: Layout, fields: Sequence[Field], codes: Mapping[str, str]) 
     for field in _wire_order(fields):
         gap = field.offset - at
         parts.append(f"{gap}x" if gap else "")
-        parts.append(f"{field.present}{codes.get(field.type, TYPES[field.type][0])}")
+        parts.append(f"{field.present}{codes[field.type]}" if field.type in codes else field.code)
         at = field.offset + field.present * field.item_size
     return struct.Struct("".join(parts))
 
@@ -365,21 +387,26 @@ def _compile_read(words: _Words, fast: str, slow: str, names: Mapping[str, objec
     """Compile the pair of a fast function and one that meets non-finite words."""
     unpack_names = "".join(f"v{number}, " for number in range(words.count))
     assign = f"    ({unpack_names}) = words" if words.count else "    pass"
-    check = "    if not isfinite(sum(words)):\n        return read_nulls(words)\n" if words.has_floats else ""
+    strings = "".join(f"    {ref} = {kind}_of({ref})\n" for ref, kind in words.opaque)
+    numbers = f"({', '.join(words.floats)},)" if words.opaque else "words"  # a sum over all is fastest
+    check = f"    if not isfinite(sum({numbers})):\n        return read_nulls(words)\n" if words.floats else ""
     source = (
         "def read_nulls(words):\n"
         "    clean = tuple(map(finite, words))\n"
         "    bad = None in clean\n"
         "    words = clean\n"
         f"{assign}\n"
+        f"{strings}"
         f"    return {slow}, bad\n"
         "def read(raw, start):\n"
         "    words = unpack(raw, start)\n"
-        f"{check}"
         f"{assign}\n"
+        f"{check}"
+        f"{strings}"
         f"    return {fast}, False\n"
     )
-    scope = {**names, "unpack": words.struct.unpack_from, "isfinite": math.isfinite, "finite": _finite}
+    shown = {f"{kind}_of": to_string for kind, to_string in STRINGS.items()}
+    scope = {**names, **shown, "unpack": words.struct.unpack_from, "isfinite": math.isfinite, "finite": _finite}
     exec(compile(source, f"<reader of {words.layout.name}>", "exec"), scope)  # noqa: S102 - made of tables, see the top
     return cast("Read", scope["read"])
 

@@ -5,6 +5,7 @@ Decoders do no I/O: bytes in, events out, bytes owed. One instance serves one se
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, Protocol
 
 import msgspec
@@ -87,6 +88,11 @@ class Decoder(Protocol):
         """Whether the handshake is done: the link goes from HANDSHAKING to ONLINE with the first frame after it."""
         ...
 
+    @property
+    def notes(self) -> Sequence[str]:
+        """What the operator should know of this session, one sentence each: shown in the link."""
+        ...
+
     def feed(self, data: bytes) -> list[Event]:
         """Take received bytes, cut anywhere, and return what they completed, in wire order.
 
@@ -99,7 +105,7 @@ class Decoder(Protocol):
         ...
 
     def outgoing(self) -> bytes:
-        """Return the bytes owed to the controller now (hello, configuration, acknowledgement)."""
+        """Return the bytes owed to the controller now (hello, configuration, acknowledgement): one send each time."""
         ...
 
     def tick(self) -> bytes | Refused:

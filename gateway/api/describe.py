@@ -74,7 +74,8 @@ def _source(row: Signal, layout: Layout) -> SourceInfo:
 
 
 def _field_schema(field: Field) -> dict[str, object]:
-    element: dict[str, object] = {"type": ["number" if field.is_float else "integer", "null"]}
+    kind = "string" if field.is_opaque else "number" if field.is_float else "integer"
+    element: dict[str, object] = {"type": [kind, "null"]}
     if field.flags:
         flags = {flag.name: _flag_schema(flag.meaning, flag.note, flag.since, flag.mask) for flag in field.flags}
         element = {"type": ["object", "null"], "properties": {"raw": {"type": "integer"}, **flags}}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 from gateway.api.decoder import Event, Frame, Refused, Reject, Skipped
@@ -72,6 +73,9 @@ class Framing:
         byteorder: `little` or `big`.
         one_length: Whether a session accepts only the length of its first good state frame. For protocols without a
             checksum, whose controllers never change it.
+        counter_at: Offset of a one-byte counter that numbers the frames that carry state, or None.
+        any_size: Whether a size that no table states is taken too, as far as the tables explain it: for tables that
+            only ever grew at the end. Needs a checksum: without one, a wrong length could not be told from a new one.
     """
 
     magic: bytes
@@ -86,6 +90,17 @@ class Framing:
     tail: bytes = b""
     byteorder: Literal["little", "big"] = "little"
     one_length: bool = False
+    counter_at: int | None = None
+    any_size: bool = False
+
+    def __post_init__(self) -> None:
+        if self.any_size and self.checksum is None:
+            raise ValueError("any_size needs a checksum")
+
+    @property
+    def behind(self) -> int:
+        """How many bytes stand behind the payload: checksum and tail."""
+        return len(self.tail) + (TYPES[self.checksum.type][2] if self.checksum else 0)
 
     @property
     def largest(self) -> int:
@@ -101,6 +116,7 @@ class _Sizes:
 
     def __init__(self, framing: Framing, kind: Kind) -> None:
         self.kind = kind
+        self.any_size = framing.any_size
         self.layouts = {_total(framing, layout): layout for layout in kind.layouts}
         self.longest = max(self.layouts, default=0)
 
@@ -108,7 +124,12 @@ class _Sizes:
         """Whether a header may promise this size: a known one, or a longer one, whose tail is then ignored."""
         if not self.kind.smallest <= total <= self.kind.largest or total % self.kind.step:
             return False
-        return total in self.layouts or total > self.longest
+        return self.any_size or total in self.layouts or total > self.longest
+
+    def unknown(self, total: int) -> Layout:
+        """The layout of a size that no table states: the next longer table as far as the frame goes, or the longest."""
+        longer = min((known for known in self.layouts if known > total), default=None)
+        return self.layouts[self.longest] if longer is None else _shortened(self.layouts[longer], total, longer - total)
 
     def __str__(self) -> str:
         known = ", ".join(str(size) for size in sorted(self.layouts))
@@ -122,6 +143,7 @@ class FramedDecoder:
     """
 
     ready = True
+    notes = ()
 
     def __init__(self, framing: Framing) -> None:
         self._framing = framing
@@ -235,7 +257,7 @@ class FramedDecoder:
         exact = sizes.layouts.get(total)
         if exact is not None:
             return Frame(raw, exact, framing.layout_at)
-        return Frame(raw, sizes.layouts[sizes.longest], framing.layout_at, Quality.UNCERTAIN)
+        return Frame(raw, sizes.unknown(total), framing.layout_at, Quality.UNCERTAIN)
 
     def _begins(self, raw: bytes, at: int) -> bool:
         """Whether a state frame may begin inside another, where one of a known size would have ended.
@@ -265,6 +287,7 @@ class Polled:
 
     # How many periods unexplained bytes may wait for the rest of their frame before the stream counts as out of step.
     GRACE_TICKS = 5
+    notes = ()
 
     def __init__(self, decoder: FramedDecoder, request: bytes) -> None:
         self._decoder = decoder
@@ -329,8 +352,13 @@ class Polled:
 
 def _total(framing: Framing, layout: Layout) -> int:
     """Total size of a frame that a layout explains exactly."""
-    behind = len(framing.tail) + (TYPES[framing.checksum.type][2] if framing.checksum else 0)
-    return framing.layout_at + layout.size + behind
+    return framing.layout_at + layout.size + framing.behind
+
+
+@lru_cache(maxsize=64)
+def _shortened(layout: Layout, total: int, missing: int) -> Layout:
+    """A layout without its last bytes; always the same object, so that its readers are compiled once."""
+    return layout.prefix(layout.size - missing, name=f"{total} bytes, the first of {layout.name}")
 
 
 def _checksum_holds(framing: Framing, checksum: Checksum, raw: bytes) -> bool:

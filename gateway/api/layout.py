@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -30,6 +30,9 @@ TYPES: dict[str, tuple[str, str, int]] = {
     "f32": ("f", "f4", 4),
     "f64": ("d", "f8", 8),
 }
+
+# Types whose value is one run of bytes: shown as text (NUL-padded UTF-8, bad bytes replaced) or as hexadecimal digits.
+OPAQUE = ("text", "bytes")
 
 Value = int | float | None
 Values = Mapping[str, object]
@@ -68,8 +71,9 @@ class Field:
     Args:
         name: The manual's own name.
         offset: Bytes from the start of the layout.
-        type: A key of `TYPES`.
+        type: A key of `TYPES`, or one of `OPAQUE`.
         count: Elements of an array; None for a scalar.
+        size: Bytes of a `text` or `bytes` value, which is always a scalar.
         unit: A unit of `gateway.api.units`, or None. `mm|deg` is a pose: three lengths and three angles.
         meaning: What it says.
         flags: Named bits of (each element of) the word.
@@ -84,10 +88,14 @@ class Field:
     meaning: str = ""
     flags: tuple[Flag, ...] = ()
     present: int = -1
+    size: int | None = None
 
     def __post_init__(self) -> None:
-        if self.type not in TYPES:
-            raise ValueError(f"field {self.name}: type {self.type!r} is unknown; known are {', '.join(TYPES)}")
+        if self.type not in TYPES and self.type not in OPAQUE:
+            known = ", ".join((*TYPES, *OPAQUE))
+            raise ValueError(f"field {self.name}: type {self.type!r} is unknown; known are {known}")
+        if (self.size is not None) != self.is_opaque or (self.is_opaque and self.count is not None):
+            raise ValueError(f"field {self.name}: `size` belongs to text and bytes, which have no `count`")
         if self.present == -1:
             object.__setattr__(self, "present", self.elements)
 
@@ -99,7 +107,7 @@ class Field:
     @property
     def item_size(self) -> int:
         """Bytes of one element."""
-        return TYPES[self.type][2]
+        return TYPES[self.type][2] if self.size is None else self.size
 
     @property
     def end(self) -> int:
@@ -110,6 +118,20 @@ class Field:
     def is_float(self) -> bool:
         """Whether the elements are floating-point numbers."""
         return self.type in {"f32", "f64"}
+
+    @property
+    def is_opaque(self) -> bool:
+        """Whether the value is one run of bytes, shown as a string."""
+        return self.type in OPAQUE
+
+    @property
+    def code(self) -> str:
+        """The struct code of the elements that the frame carries; there must be one at least."""
+        return f"{self.present}{TYPES[self.type][0]}" if self.size is None else f"{self.size}s"
+
+    def shown(self, word: object) -> object:
+        """A word as it was unpacked, as a value of the vendor group: text and bytes become strings."""
+        return STRINGS[self.type](word) if isinstance(word, bytes) else word
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,7 +203,8 @@ class Layout:
 
         Args:
             values: A number or a sequence for each field; a field with flags also takes a mapping of `raw` and flag
-                names (or a sequence of such mappings), of which the flags win. None is written as zero.
+                names (or a sequence of such mappings), of which the flags win; text and bytes take a string. None is
+                written as zero.
 
         Returns:
             `size` bytes.
@@ -238,7 +261,8 @@ class Layout:
             found.append(f"{field.name}: it ends behind the {self.size} bytes of the layout")
         if field.unit is not None and not units.is_known(field.unit):
             found.append(f"{field.name}: unit {field.unit!r} is unknown")
-        if field.unit is not None and "|" in field.unit and field.count != 6:  # noqa: PLR2004 - x y z and three angles
+        # x y z and three angles, or the magnitudes of both
+        if field.unit is not None and "|" in field.unit and field.count not in {6, 2}:
             found.append(f"{field.name}: a pose has six elements")
         taken = 0
         for flag in field.flags:
@@ -251,12 +275,21 @@ class Layout:
         flag_names = [flag.name for flag in field.flags]
         if len(set(flag_names)) != len(flag_names) or "raw" in flag_names:
             found.append(f"{field.name}: flag names must be unique, and none may be `raw`")
-        if field.flags and field.is_float:
-            found.append(f"{field.name}: a float has no flags")
+        if field.flags and (field.is_float or field.is_opaque):
+            found.append(f"{field.name}: a {'float' if field.is_float else field.type} has no flags")
         return found
 
     def _code(self, field: Field) -> str:
-        return f"{self.byteorder}{field.present}{TYPES[field.type][0]}"
+        return f"{self.byteorder}{field.code}"
+
+
+def text_of(word: bytes) -> str:
+    """The text of a NUL-padded word; what is no UTF-8 is replaced."""
+    return word.partition(b"\0")[0].decode("utf-8", "replace")
+
+
+# How a word of an opaque type is shown.
+STRINGS: dict[str, Callable[[bytes], str]] = {"text": text_of, "bytes": bytes.hex}
 
 
 def is_finite(value: Value) -> bool:
@@ -265,12 +298,14 @@ def is_finite(value: Value) -> bool:
 
 
 def _numpy_format(field: Field, byteorder: str) -> object:
-    code = byteorder + TYPES[field.type][1]
+    code = byteorder + TYPES[field.type][1] if field.size is None else f"V{field.size}"
     return code if field.count is None else (code, (field.present,))
 
 
-def _word(field: Field, item: object) -> int | float:
+def _word(field: Field, item: object) -> int | float | bytes:
     """The raw word of one element; a mapping of flags is put together."""
+    if field.is_opaque:
+        return _opaque_word(field, item)
     if item is None:
         return 0
     if isinstance(item, Mapping):
@@ -289,3 +324,15 @@ def _word(field: Field, item: object) -> int | float:
     if isinstance(item, (int, float)):
         return item
     raise ValueError(f"field {field.name}: {item!r} is no number")
+
+
+def _opaque_word(field: Field, item: object) -> bytes:
+    """The bytes of a text or of hexadecimal digits, which the struct pads with NUL."""
+    if item is None:
+        return b""
+    if not isinstance(item, str):
+        raise ValueError(f"field {field.name}: {item!r} is no string")  # noqa: TRY004 - as every wrong value
+    word = item.encode() if field.type == "text" else bytes.fromhex(item)
+    if len(word) > field.item_size:
+        raise ValueError(f"field {field.name} holds {field.item_size} bytes, not {len(word)}")
+    return word

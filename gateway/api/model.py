@@ -344,6 +344,7 @@ class Link(msgspec.Struct, frozen=True, kw_only=True):
     reached_hz: Annotated[float | None, _in("Hz", "Rate reached in the last second, rounded.")] = None
     last_error: Annotated[str | None, _is("The last reason why the link was lost.")] = None
     next_attempt: Annotated[int | None, _in("µs", "When the next attempt is due, UTC since 1970.")] = None
+    notes: Annotated[list[str], _is("What the operator should know of this link, one sentence each.")] = []
 
 
 class LinkStats(msgspec.Struct, frozen=True):

@@ -32,6 +32,7 @@ _TO_SI: dict[str, tuple[str, Conversion]] = {
     "kg": ("kg", Conversion()),
     "N": ("N", Conversion()),
     "Nm": ("N·m", Conversion()),
+    "mNm": ("N·m", Conversion(1e-3)),
     "N·m": ("N·m", Conversion()),
     "A": ("A", Conversion()),
     "mA": ("A", Conversion(1e-3)),

@@ -17,6 +17,7 @@ _COMMANDS = {
     "check": ("gateway.cli.check", "check"),
     "status": ("gateway.cli.status", "status"),
     "tail": ("gateway.cli.tail", "tail"),
+    "probe": ("gateway.cli.probe", "probe_command"),
     "vendors": ("gateway.cli.vendors", "vendors"),
     "vendor-check": ("gateway.cli.vendor_check", "vendor_check"),
     "simulate": ("gateway.cli.simulate", "app"),
@@ -29,6 +30,7 @@ It only observes: it never moves a robot. For information only; not for function
 \b
 Examples:
   robot-gateway demo                      see it at work, without a robot
+  robot-gateway probe 192.168.58.2        what does this controller speak?
   robot-gateway check gateway.toml        is the configuration right?
   robot-gateway run --config gateway.toml
   robot-gateway status                    which robot is on, and why not?

@@ -93,6 +93,8 @@ def robots_table(
         below.append(Text(f"too narrow for: {left_out}", style="dim"))
     off = [robot for robot in shown if robot.link.state is not LinkState.ONLINE]
     below += [Text.assemble((f"{robot.name}: ", "bold"), link_reason(robot, now_us)) for robot in off]
+    on = [robot for robot in shown if robot.link.state is LinkState.ONLINE]
+    below += [Text.assemble((f"{robot.name}: ", "bold"), note) for robot in on for note in robot.link.notes]
     return Group(table, *below)
 
 
@@ -123,6 +125,7 @@ def link_reason(robot: RobotInfo, now_us: int) -> str:
         parts.append(f"attempt {link.attempts}")
     if link.next_attempt is not None:
         parts.append(f"next one in {max(0.0, (link.next_attempt - now_us) / 1e6):.1f} s")
+    parts += link.notes
     if robot.reject_counts:
         parts.append("rejected: " + ", ".join(f"{count} {reason}" for reason, count in robot.reject_counts.items()))
     return "; ".join(parts)

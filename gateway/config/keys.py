@@ -68,6 +68,10 @@ class RobotTable(msgspec.Struct, frozen=True, kw_only=True):
         ]
         | None
     ) = None
+    clock_zone: Annotated[
+        str | None,
+        Meta(description="Time zone of the controller's own clock, such as Asia/Seoul. Not set: t_src stays null."),
+    ] = None
     estop_polarity: Annotated[
         EstopPolarity | None,
         Meta(description="Level of the input while the emergency stop is pressed. Not set: e_stopped stays null."),

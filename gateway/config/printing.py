@@ -28,54 +28,58 @@ _REFERENCE = "#/$defs/{name}"
 
 def as_toml(config: Config) -> str:
     """The configuration as understood, in TOML that means the same."""
-    lines = [f"vendor_dirs = {_value([str(path) for path in config.vendor_dirs])}", "", "[server]"]
-    lines += [f"{key} = {_value(value)}" for key, value in msgspec.structs.asdict(config.server).items()]
+    lines = [f"vendor_dirs = {toml_value([str(path) for path in config.vendor_dirs])}", "", "[server]"]
+    lines += [f"{key} = {toml_value(value)}" for key, value in msgspec.structs.asdict(config.server).items()]
     for robot in config.robots:
         lines += ["", "[[robots]]", *(_live(robot) if isinstance(robot, RobotSettings) else _broken(robot))]
     return "\n".join(lines) + "\n"
 
 
 def _live(robot: RobotSettings) -> Iterator[str]:
-    yield f"name = {_value(robot.name)}"
-    yield f"vendor = {_value(robot.vendor.name)}"
-    yield f"protocol = {_value(robot.protocol.name)}"
-    yield f"host = {_value(robot.host)}"
-    yield f"port = {_value(robot.port)}"
-    yield "# rate_hz: the controller sets it" if robot.rate_hz is None else f"rate_hz = {_value(robot.rate_hz)}"
-    yield f"stale_s = {_value(robot.stale_s)}"
+    yield f"name = {toml_value(robot.name)}"
+    yield f"vendor = {toml_value(robot.vendor.name)}"
+    yield f"protocol = {toml_value(robot.protocol.name)}"
+    yield f"host = {toml_value(robot.host)}"
+    yield f"port = {toml_value(robot.port)}"
+    yield "# rate_hz: the controller sets it" if robot.rate_hz is None else f"rate_hz = {toml_value(robot.rate_hz)}"
+    yield f"stale_s = {toml_value(robot.stale_s)}"
+    if robot.clock_zone is not None:
+        yield f"clock_zone = {toml_value(str(robot.clock_zone))}"
+    elif robot.protocol.wall_clock is not None:
+        yield "# clock_zone is not set: t_src stays null"
     if robot.estop_polarity is None:
         yield "# estop_polarity is not set: e_stopped stays null"
     else:
-        yield f"estop_polarity = {_value(robot.estop_polarity)}"
+        yield f"estop_polarity = {toml_value(robot.estop_polarity)}"
     options = msgspec.to_builtins(robot.options)
     if options:
         yield f"[robots.{_key(robot.protocol.name)}]"
     for key, value in options.items():
-        yield f"# {key} is not set" if value is None else f"{_key(key)} = {_value(value)}"
+        yield f"# {key} is not set" if value is None else f"{_key(key)} = {toml_value(value)}"
 
 
 def _broken(robot: BrokenRobot) -> Iterator[str]:
     yield f"# off, the vendor is broken: {' '.join(robot.error.reason.split())}"
-    yield f"name = {_value(robot.name)}"
-    yield f"vendor = {_value(robot.vendor)}"
+    yield f"name = {toml_value(robot.name)}"
+    yield f"vendor = {toml_value(robot.vendor)}"
     if robot.protocol:
-        yield f"protocol = {_value(robot.protocol)}"
-    yield f"host = {_value(robot.host)}"
+        yield f"protocol = {toml_value(robot.protocol)}"
+    yield f"host = {toml_value(robot.host)}"
 
 
 def _key(key: str) -> str:
-    return key if key.replace("-", "_").isidentifier() and key.isascii() else _value(key)
+    return key if key.replace("-", "_").isidentifier() and key.isascii() else toml_value(key)
 
 
-def _value(value: object) -> str:
+def toml_value(value: object) -> str:
     """A value in TOML; None, which TOML does not have, is left out of tables by the caller."""
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, dict):
-        pairs = (f"{_key(str(key))} = {_value(part)}" for key, part in value.items() if part is not None)
+        pairs = (f"{_key(str(key))} = {toml_value(part)}" for key, part in value.items() if part is not None)
         return f"{{ {', '.join(pairs)} }}"
     if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_value, value))}]"
+        return f"[{', '.join(map(toml_value, value))}]"
     return str(value).lower() if isinstance(value, bool) else repr(value)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 from typing import TYPE_CHECKING
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import msgspec
 
@@ -93,10 +94,11 @@ class Robots:
                 f"belongs to another protocol: this robot speaks {quoted(protocol.name)}; "
                 f"remove the table or set protocol = {quoted(other)}",
             )
-        port = self._port(path, values, protocol)
+        options = self._options((*path, protocol.name), raw.get(protocol.name, {}), protocol)
+        port = self._port(path, values, protocol, options)
+        clock_zone = self._clock_zone(path, values, protocol)
         rate_hz = self._rate_hz(path, values, protocol)
         stale_s = self._stale_s(path, values, protocol, rate_hz)
-        options = self._options((*path, protocol.name), raw.get(protocol.name, {}), protocol)
         if options is None or not {"name", "host"} <= values.keys():
             return None
         table = msgspec.convert({**values, "vendor": vendor.name}, RobotTable)
@@ -108,6 +110,7 @@ class Robots:
             protocol=protocol,
             rate_hz=rate_hz,
             stale_s=stale_s,
+            clock_zone=clock_zone,
             estop_polarity=table.estop_polarity,
             options=options,
         )
@@ -135,10 +138,10 @@ class Robots:
             self._problems.add((*path, "protocol"), told)
             return None
 
-    def _port(self, path: Path, values: Table, protocol: Protocol) -> int:
+    def _port(self, path: Path, values: Table, protocol: Protocol, options: msgspec.Struct | None) -> int:
         """The port; no two robots may share a controller, which has one connection to give."""
         port = values.get("port")
-        port = port if isinstance(port, int) else protocol.port
+        port = port if isinstance(port, int) else protocol.port_of(options or protocol.options())
         host = values.get("host")
         if isinstance(host, str):
             address = (_canonical(host), port)
@@ -149,6 +152,21 @@ class Robots:
                 self._problems.add((*path, "host"), told)
             self._addresses.setdefault(address, (quoted(values.get("name", "")), path))
         return port
+
+    def _clock_zone(self, path: Path, values: Table, protocol: Protocol) -> ZoneInfo | None:
+        given = values.get("clock_zone")
+        if not isinstance(given, str):
+            return None
+        if protocol.wall_clock is None:
+            told = f"protocol {quoted(protocol.name)} does not tell the controller's time; remove the key"
+            self._problems.add((*path, "clock_zone"), told)
+            return None
+        try:
+            return ZoneInfo(given)
+        except (ZoneInfoNotFoundError, ValueError, OSError):
+            told = f"{quoted(given)} is no time zone that this machine knows, such as Asia/Seoul or UTC"
+            self._problems.add((*path, "clock_zone"), told)
+            return None
 
     def _rate_hz(self, path: Path, values: Table, protocol: Protocol) -> float | None:
         given = values.get("rate_hz")

@@ -85,9 +85,10 @@ class FrameStream:
         origin: Where they come from.
         on_bad: Called when a group held NaN or infinity.
         on_broken: Called when a plugin's function raised in a group.
+        t_src: Reads the controller's own time from a frame; None where it is not known.
     """
 
-    __slots__ = ("epoch", "on_bad", "on_broken", "origin", "quality", "readers")
+    __slots__ = ("epoch", "on_bad", "on_broken", "origin", "quality", "readers", "t_src")
 
     def __init__(
         self,
@@ -97,6 +98,7 @@ class FrameStream:
         origin: Origin,
         on_bad: Callable[[], None],
         on_broken: Callable[[str, Exception], None],
+        t_src: Callable[[Frame], int | None] | None = None,
     ) -> None:
         self.epoch = epoch
         self.readers = readers
@@ -104,6 +106,7 @@ class FrameStream:
         self.origin: Origin = origin
         self.on_bad = on_bad
         self.on_broken = on_broken
+        self.t_src = t_src
 
 
 class FrameReading:
@@ -149,6 +152,7 @@ class FrameReading:
             seq=self.seq,
             epoch=stream.epoch,
             t=self.t,
+            t_src=None if stream.t_src is None else stream.t_src(self.frame),
             q=quality,
             origin=stream.origin,
             data=data,

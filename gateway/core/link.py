@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import secrets
 from collections.abc import Sequence
 
@@ -9,20 +10,22 @@ import anyio
 import msgspec
 import structlog
 
-from gateway.api.decoder import Event, Frame
+from gateway.api.decoder import Decoder, Event, Frame
+from gateway.api.layout import Layout
 from gateway.api.model import GROUPS, EventKind, LinkState, Quality, Sample
 from gateway.api.model import Link as LinkData
 from gateway.api.normaliser import Normaliser
 from gateway.core.backoff import REFUSED_S, Backoff, backoff
 from gateway.core.bus import Bus, Origin, Topic, ValueReading
 from gateway.core.clock import Clock, Timeline
+from gateway.core.controller_clock import ControllerClock
 from gateway.core.counters import LinkCounters
 from gateway.core.publisher import Publisher
 from gateway.core.repeats import Repeats
 from gateway.core.session import Session
 from gateway.core.settings import BrokenRobot, RobotSettings
 from gateway.core.transport import Connector
-from gateway.errors import LinkError, LinkRefused, LinkStale
+from gateway.errors import LinkClosed, LinkError, LinkRefused, LinkStale
 
 _LOG = structlog.get_logger()
 _REFUSED_STATES = {"incompatible": LinkState.INCOMPATIBLE, "refused": LinkState.REFUSED}
@@ -55,10 +58,16 @@ class Link:
         self._delays = delays()
         self._timeline = Timeline(clock)
         normaliser = Normaliser(robot.protocol.signals, robot.signal_options)
-        self._publisher = Publisher(robot.name, bus, normaliser, robot.origin)
+        wall_clock = robot.protocol.wall_clock
+        controller_clock = ControllerClock(wall_clock, robot.clock_zone) if wall_clock else None
+        self._publisher = Publisher(robot.name, bus, normaliser, robot.origin, controller_clock)
         topics = bus.add(robot.name, ["link", "link_stats"])
         self._own = {group: _OwnTopic(topic, bus, robot.origin) for group, topic in topics.items()}
-        self._counters = LinkCounters()
+        self._counters = LinkCounters(robot.protocol.framing.counter_at)
+        self._new_decoder = robot.protocol.decoders(robot.options)
+        self._decoder: Decoder | None = None
+        self._layout: Layout | None = None
+        self._noted: list[str] = []
         self._epochs = 0
         self._boot = secrets.token_hex(4)
         self._first_frame = True
@@ -95,7 +104,8 @@ class Link:
         except LinkStale as error:
             return self._lost(LinkState.STALE, error.reason)
         except LinkError as error:
-            return self._lost(LinkState.DISCONNECTED, error.reason)
+            notes = [self._robot.protocol.when_refused] if isinstance(error, LinkClosed) and error.refused else []
+            return self._lost(LinkState.DISCONNECTED, error.reason, notes=notes)
         except Exception as error:  # noqa: BLE001 - the one place that catches what nobody expected
             self._log.exception("link.faulted", reason=repr(error))
             return self._lost(LinkState.FAULTED, f"internal error, see the log: {error!r}", REFUSED_S)
@@ -103,20 +113,24 @@ class Link:
 
     async def _connect_and_run(self) -> None:
         robot = self._robot
+        self._decoder = None
         connection = await self._connector.connect()
         try:
             self._begin_epoch()
-            self._enter(LinkState.HANDSHAKING, "connected, waiting for the first frame", layout=None)
-            self._counters.sessions += 1
+            self._enter(LinkState.HANDSHAKING, "connected, waiting for the first frame", layout=None, notes=[])
+            self._counters.begin()
             self._first_frame = True
+            self._decoder = self._new_decoder()
             session = Session(
                 connection,
-                robot.protocol.decoder(robot.options),
+                self._decoder,
                 self,
                 period_s=None if robot.rate_hz is None else 1 / robot.rate_hz,
                 stale_s=robot.stale_s,
                 on_stale=robot.protocol.on_stale,
                 clock=self._clock,
+                tick_s=robot.protocol.tick_s,
+                first_s=robot.protocol.handshake_s,
             )
             await session.run()
         finally:
@@ -144,21 +158,34 @@ class Link:
         self._outcome = LinkState.ONLINE
         self._delays = self._new_delays()
         before = self._data.state
-        extra = len(frame.raw) - frame.start - frame.layout.size if frame.quality is Quality.UNCERTAIN else 0
+        behind = self._robot.protocol.framing.behind
+        extra = len(frame.raw) - frame.start - frame.layout.size - behind if frame.quality is Quality.UNCERTAIN else 0
         layout = frame.layout.name + (f" + {extra} bytes that the layout does not explain" if extra else "")
+        notes = self._notes()
         attempts = self._data.attempts
-        self._enter(LinkState.ONLINE, None, attempts=0, layout=layout)
+        self._enter(LinkState.ONLINE, None, attempts=0, layout=layout, notes=notes)
         self._raise(EventKind.LINK_ONLINE, before, LinkState.ONLINE, None)
         if self._repeats.recovery():
             self._log.info("link.connected", peer=self._connector.peer, attempts=attempts, layout=layout)
+        self._layout = frame.layout
+        for note in notes if notes != self._noted else ():
+            self._log.warning("link.noted", reason=note)
+        self._noted = notes
 
-    def _lost(self, state: LinkState, reason: str, delay_s: float | None = None) -> float:
+    def _notes(self) -> list[str]:
+        """What the decoder has to tell; a plugin that cannot even tell it stops nothing."""
+        with contextlib.suppress(Exception):
+            return [] if self._decoder is None else list(self._decoder.notes)
+        return []
+
+    def _lost(self, state: LinkState, reason: str, delay_s: float | None = None, notes: Sequence[str] = ()) -> float:
         """Say that the session is lost, or that there was none, and when the next attempt is due."""
         if delay_s is None:
             delay_s = next(self._delays)
         self._announce_loss(state, reason)
         due = self._timeline.now() + int(delay_s * 1e6)
-        self._enter(state, reason, last_error=reason, next_attempt=due, reached_hz=None)
+        told = list(filter(None, notes)) or self._notes()
+        self._enter(state, reason, last_error=reason, next_attempt=due, reached_hz=None, notes=told)
         self._counters.reached_hz = None
         return delay_s
 
@@ -196,11 +223,22 @@ class Link:
             await anyio.sleep(1)
             if self._timeline.follow():
                 self._begin_epoch()
-            stats = self._counters.second(self._clock.monotonic(), self._publisher.bad_values)
+            publisher = self._publisher
+            stats = self._counters.second(self._clock.monotonic(), publisher.bad_values, publisher.clock_offset_s())
             self._own["link_stats"].publish(stats, self._timeline.now())
-            if self._data.state is LinkState.ONLINE and self._data.reached_hz != self._counters.reached_hz:
-                self._data = msgspec.structs.replace(self._data, reached_hz=self._counters.reached_hz)
-                self._say()
+            if self._data.state is LinkState.ONLINE:
+                self._say_what_changed()
+
+    def _say_what_changed(self) -> None:
+        """Publish what may change while the link is online."""
+        now = msgspec.structs.replace(self._data, reached_hz=self._counters.reached_hz, notes=self._notes())
+        layout = self._publisher.layout
+        if layout is not None and layout is not self._layout:  # configured again inside the session
+            self._layout = layout
+            now = msgspec.structs.replace(now, layout=layout.name)
+        if now != self._data:
+            self._data = now
+            self._say()
 
     def _enter(self, state: LinkState, reason: str | None, **changes: object) -> None:
         since = self._data.since if state is self._data.state else self._timeline.now()

@@ -14,6 +14,7 @@ from gateway.api.model import GROUPS, Quality, Safety, Sample, Status
 from gateway.api.normaliser import Normaliser
 from gateway.core.bus import Bus, FrameReading, FrameStream, Origin, Topic, ValueReading
 from gateway.core.clock import Timeline
+from gateway.core.controller_clock import ControllerClock
 from gateway.core.edges import Edge, EdgeFinder
 
 _LOG = structlog.get_logger()
@@ -42,18 +43,28 @@ class Publisher:
         bus: Where to publish.
         normaliser: The readers of the robot's protocol.
         origin: Where the frames come from.
+        clock: The controller's own clock, or None.
 
     Attributes:
         bad_values: How many groups held NaN or infinity, or could not be read.
     """
 
-    def __init__(self, robot: str, bus: Bus, normaliser: Normaliser, origin: Origin) -> None:
+    def __init__(
+        self,
+        robot: str,
+        bus: Bus,
+        normaliser: Normaliser,
+        origin: Origin,
+        clock: ControllerClock | None = None,
+    ) -> None:
         self._bus = bus
         self._normaliser = normaliser
         self._origin: Origin = origin
         self._topics = bus.add(robot, normaliser.groups)
         self._events = bus.add(robot, ["events"])["events"]
         self._edges = EdgeFinder()
+        self._clock = clock
+        self._last: FrameReading | None = None
         self._timeline: Timeline | None = None
         self._epoch = ""
         self._seq = 0
@@ -76,6 +87,17 @@ class Publisher:
         self._timeline = timeline
         self._seq = 0
         self._stream = None
+        self._last = None
+
+    @property
+    def layout(self) -> Layout | None:
+        """The layout of the last frame."""
+        return self._layout
+
+    def clock_offset_s(self) -> float | None:
+        """The controller's clock minus ours by the last frame, in s, or None; of an unknown zone as if it were UTC."""
+        told = self._clock.utc_us(self._last.frame) if self._clock is not None and self._last is not None else None
+        return None if told is None or self._last is None else (told - self._last.t) / 1e6
 
     def frame(self, frame: Frame, monotonic_s: float) -> None:
         """Publish a good frame that was received at a monotonic time in s."""
@@ -85,7 +107,7 @@ class Publisher:
         if stream is None or frame.layout is not self._layout or frame.quality is not stream.quality:
             stream = self._new_stream(frame)
         self._seq += 1
-        reading = FrameReading(stream, frame, self._seq, self._timeline.stamp(monotonic_s))
+        reading = self._last = FrameReading(stream, frame, self._seq, self._timeline.stamp(monotonic_s))
         for topic in self._samples:
             topic.latest = reading
             for listener in topic.listeners:
@@ -123,8 +145,9 @@ class Publisher:
     def _new_stream(self, frame: Frame) -> FrameStream:
         readers = self._normaliser.readers(frame.layout)
         self._layout = frame.layout
+        t_src = self._clock.utc_us if self._clock is not None and self._clock.zone_is_known else None
         self._stream = FrameStream(
-            self._epoch, readers, frame.quality, self._origin, self._count_bad, self._report_broken
+            self._epoch, readers, frame.quality, self._origin, self._count_bad, self._report_broken, t_src
         )
         topics = {group: topic for group, topic in self._topics.items() if group in readers}
         self._samples = [topic for topic in topics.values() if topic.group.delivery == "sample"]

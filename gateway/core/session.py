@@ -16,6 +16,8 @@ from gateway.errors import LinkError, LinkRefused, LinkStale
 
 # The deadline of the watchdog moves on only when less than this share of it remains: moving it has a price.
 _LAZY_SHARE = 0.8
+# Deadlines stand on whole milliseconds: a fresh one may lie so much behind its time.
+_WHOLE_MS = 0.002
 _GOODBYE_S = 0.5
 
 
@@ -38,7 +40,9 @@ class Session:
         connection: The open connection; closed by its owner.
         decoder: Reads this connection only.
         sink: Takes the events.
-        period_s: Time between ticks of the decoder; None where nothing is asked.
+        period_s: Time between requests; None where nothing is asked.
+        tick_s: Time between ticks of a decoder that asks for nothing but may have to repeat itself; None: never.
+        first_s: Time that the first good frame may take; None: `stale_s`.
         stale_s: Time without a good frame after which the session is stale.
         on_stale: Whether a stale session ends.
         clock: Gives the receive times.
@@ -54,16 +58,20 @@ class Session:
         stale_s: float,
         on_stale: OnStale,
         clock: Clock,
+        tick_s: float | None = None,
+        first_s: float | None = None,
     ) -> None:
         self._connection = connection
         self._decoder = decoder
         self._sink = sink
-        self._period_s = period_s
+        self._polls = period_s is not None
+        self._period_s = period_s or tick_s
+        self._first_s = max(first_s or 0.0, stale_s)
         self._stale_s = stale_s
         self._on_stale = on_stale
         self._now = clock.monotonic
         self._wake = anyio.Event()
-        self._owed = decoder.outgoing()
+        self._owed = [decoder.outgoing()]
         self._overdue = False  # the decoder had nothing to ask when it was due: it waits for an answer
         self._n_bytes = self._n_frames = 0
         self._last_reject: Reject | None = None
@@ -89,7 +97,7 @@ class Session:
                     await self._say(goodbye)
 
     async def _read(self) -> None:
-        stale_at_s = self._now() + self._stale_s
+        stale_at_s = self._now() + self._first_s
         while True:
             with anyio.CancelScope(deadline=deadline_s(stale_at_s)) as watchdog:
                 await self._read_under(watchdog)
@@ -103,20 +111,23 @@ class Session:
     async def _read_under(self, watchdog: anyio.CancelScope) -> None:
         """Read; every good frame moves the deadline of the watchdog on."""
         lazy_s = self._stale_s * _LAZY_SHARE
+        datagrams = self._connection.datagrams
         while True:
             data = await self._connection.receive()
             at_s = self._now()
             events = self._decoded(data)
+            if datagrams:
+                events = [*events, *self._decoder.end()]
             self._note(len(data), events, at_s, self._now() - at_s)
             for event in events:
                 if isinstance(event, Frame):
-                    if not lazy_s < watchdog.deadline - at_s < math.inf:
+                    if not lazy_s < watchdog.deadline - at_s < self._stale_s + _WHOLE_MS:
                         watchdog.deadline = deadline_s(at_s + self._stale_s)
                 elif isinstance(event, Refused):
                     raise LinkRefused(event.reason, event.kind)
             owed = self._decoder.outgoing()
             if owed or self._overdue:
-                self._owed += owed
+                self._owed.append(owed)
                 self._wake.set()
 
     def _decoded(self, data: bytes) -> Sequence[Event]:
@@ -130,21 +141,21 @@ class Session:
 
     async def _ask(self) -> None:
         """Send what the decoder owes: at once what it answers, at the period what it asks. The only sender."""
-        due_s = self._now() if self._period_s else math.inf
+        due_s = math.inf if self._period_s is None else self._now() + (0.0 if self._polls else self._period_s)
         while True:
             self._wake = anyio.Event()
-            owed, self._owed = self._owed, b""
+            owed, self._owed = self._owed, []
             now = self._now()
             if self._period_s and (self._overdue or now >= due_s):
                 asked = self._decoder.tick()
                 if isinstance(asked, Refused):
                     raise LinkRefused(asked.reason, asked.kind)
-                owed += asked
-                self._overdue = not asked
+                owed.append(asked)
+                self._overdue = self._polls and not asked
                 # Phase-locked: a late wake-up is caught up with, but never by more than one period.
                 due_s = max(due_s + self._period_s, now - self._period_s) if asked else now + self._period_s
-            if owed:
-                await self._connection.send(owed)
+            for data in filter(None, owed):  # each a send, and so a datagram, of its own
+                await self._connection.send(data)
             with anyio.CancelScope(deadline=deadline_s(due_s)):
                 await self._wake.wait()
 
@@ -170,7 +181,7 @@ class Session:
         if self._n_frames:
             return f"no good frame for {self._stale_s:g} s"
         if not self._n_bytes:
-            return f"connected, but not one byte came within {self._stale_s:g} s"
+            return f"connected, but not one byte came within {self._first_s:g} s"
         reject = self._last_reject
         why = f"; last reject: {reject.reason}{f' ({reject.detail})' if reject.detail else ''}" if reject else ""
         return f"connected, {self._n_bytes} bytes came, but no good frame{why}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from datetime import tzinfo
 from typing import Literal
 
 import msgspec
@@ -25,6 +26,7 @@ class RobotSettings:
         protocol: The protocol that is spoken.
         rate_hz: Rate of the requests; None where the controller pushes.
         stale_s: Time without a good frame after which the link is stale.
+        clock_zone: Time zone of the controller's own clock; None: not known, so `t_src` stays null.
         estop_polarity: Level of a pressed emergency stop; None: not known, so `e_stopped` stays null.
         options: The protocol's own options.
         origin: `sim` for a virtual controller of the demo.
@@ -38,6 +40,7 @@ class RobotSettings:
     rate_hz: float | None
     stale_s: float
     estop_polarity: EstopPolarity | None = None
+    clock_zone: tzinfo | None = None
     options: msgspec.Struct = field(default_factory=NoOptions)
     origin: Literal["live", "sim"] = "live"
 

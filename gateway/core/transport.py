@@ -31,6 +31,11 @@ _WORDS = {
 class Connection(Protocol):
     """An open way to one controller."""
 
+    @property
+    def datagrams(self) -> bool:
+        """Whether each receive gives one whole datagram: a frame never goes on in the next."""
+        ...
+
     async def receive(self) -> bytes:
         """Wait for bytes.
 
@@ -84,7 +89,7 @@ class TcpClient:
     @property
     def peer(self) -> str:
         """The controller's address, for people."""
-        return f"[{self._host}]:{self._port}" if ":" in self._host else f"{self._host}:{self._port}"
+        return address_text(self._host, self._port)
 
     async def connect(self) -> Connection:
         """Open a connection; see `Connector`."""
@@ -94,7 +99,7 @@ class TcpClient:
         except TimeoutError:
             raise LinkClosed(f"no answer from {self.peer} within {CONNECT_TIMEOUT_S:g} s") from None
         except OSError as error:
-            raise LinkClosed(f"{self.peer}: {describe(error)}") from error
+            raise LinkClosed(f"{self.peer}: {describe(error)}", refused=is_refusal(error)) from error
         raw = stream.extra(SocketAttribute.raw_socket)  # noqa: S610 - not that `extra`
         raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         _keep_alive(raw.setsockopt)
@@ -103,6 +108,8 @@ class TcpClient:
 
 class TcpConnection:
     """One open TCP connection, whoever called."""
+
+    datagrams = False
 
     def __init__(self, stream: SocketStream) -> None:
         self._stream = stream
@@ -129,15 +136,34 @@ class TcpConnection:
 
 
 def describe(error: BaseException) -> str:
-    """Say in words why a connection failed or ended; anyio wraps the socket's own error."""
+    """Say in words why a connection failed or ended."""
+    cause = _cause(error)
+    if cause is None or cause.errno is None:
+        return "connection lost"
+    if isinstance(cause, socket.gaierror):
+        return f"the name cannot be resolved ({cause.strerror})"
+    return _WORDS.get(cause.errno) or os.strerror(cause.errno)
+
+
+def is_refusal(error: BaseException) -> bool:
+    """Whether the host answered that nothing listens on the port."""
+    cause = _cause(error)
+    return cause is not None and cause.errno == errno.ECONNREFUSED
+
+
+def address_text(host: str, port: int) -> str:
+    """An address for people."""
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
+def _cause(error: BaseException) -> OSError | None:
+    """The socket's own error; anyio wraps it."""
     cause: BaseException | None = error
     while cause is not None:
-        if isinstance(cause, socket.gaierror):
-            return f"the name cannot be resolved ({cause.strerror})"
         if isinstance(cause, OSError) and cause.errno is not None:
-            return _WORDS.get(cause.errno) or os.strerror(cause.errno)
+            return cause
         cause = cause.__cause__ or cause.__context__
-    return "connection lost"
+    return None
 
 
 def _keep_alive(set_option: Callable[[int, int, int], None]) -> None:

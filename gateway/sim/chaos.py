@@ -20,6 +20,8 @@ _FAULTS = {
     "junk": ("RATE", "random bytes come before"),
     "header": ("RATE", "one byte of the header is damaged"),
     "corrupt": ("RATE", "one byte anywhere is damaged"),
+    "checksum": ("RATE", "the last two bytes are wrong"),
+    "tail": ("RATE", "the last bytes are missing"),
     "delay": ("RATE/SECONDS", "late by so many seconds"),
     "stall": ("SECONDS/EVERY", "silence for so long in every so many; then what was asked is answered"),
     "cut": ("EVERY", "the connection is closed after so many"),
@@ -27,6 +29,7 @@ _FAULTS = {
 _TIMED = {"delay": 2, "stall": 2}
 _MOST_JUNK = 64
 _MOST_PARTS = 4
+_MOST_MISSING = 8
 _SPLIT_WAIT_S = (0.0, 0.004)
 
 
@@ -41,6 +44,8 @@ class ChaosPlan:
     junk: float = 0.0
     header: float = 0.0
     corrupt: float = 0.0
+    checksum: float = 0.0
+    tail: float = 0.0
     delay: float = 0.0
     delay_s: float = 0.0
     stall_s: float = 0.0
@@ -190,6 +195,10 @@ class Chaos:
             segment = self._flip(segment, self._random.randrange(min(self._header, len(segment))))
         if self._happens("corrupt", plan.corrupt):
             segment = self._flip(segment, self._random.randrange(len(segment)))
+        if self._happens("checksum", plan.checksum):
+            segment = self._flip(self._flip(segment, len(segment) - 1), len(segment) - 2)
+        if self._happens("tail", plan.tail):
+            segment = segment[: -self._random.randint(1, min(_MOST_MISSING, len(segment) - 1))]
         return segment
 
     def _flip(self, segment: bytes, at: int) -> bytes:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping, Sequence
 
-from gateway.api.layout import TYPES, Layout
+from gateway.api.layout import Layout
 
-Word = int | float
+Word = int | float | bytes
 
 
 class Packer:
@@ -22,13 +22,13 @@ class Packer:
         self.layout = layout
         self.slots: dict[str, slice] = {}
         for field in here:
-            text += f"{field.offset - end}x{field.present}{TYPES[field.type][0]}"
+            text += f"{field.offset - end}x{field.code}"
             end = field.offset + field.present * field.item_size
             self.slots[field.name] = slice(slot, slot + field.present)
             slot += field.present
         self.count = slot
         self._struct = struct.Struct(f"{text}{layout.size - end}x")
-        self._scalars = {field.name for field in here if field.count is None}
+        self._scalars = {field.name: field for field in here if field.count is None}
 
     def pack(self, words: Sequence[Word]) -> bytes:
         """Pack one word for each slot; further words are left out."""
@@ -39,7 +39,8 @@ class Packer:
         return list(self._struct.unpack(self.layout.encode(values)))
 
     def named(self, words: Sequence[Word]) -> dict[str, object]:
-        """Name the words: a number for a scalar, a list for an array."""
+        """Name the words: a number or a string for a scalar, a list for an array."""
         return {
-            name: words[slot.start] if name in self._scalars else list(words[slot]) for name, slot in self.slots.items()
+            name: self._scalars[name].shown(words[slot.start]) if name in self._scalars else list(words[slot])
+            for name, slot in self.slots.items()
         }

@@ -8,28 +8,24 @@ from __future__ import annotations
 import asyncio
 import errno
 import ipaddress
-from collections import deque
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from functools import partial
-from random import Random
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from gateway.errors import GatewayError
-from gateway.sim.chaos import CALM, Chaos, ChaosPlan, Delivery, parse_chaos
+from gateway.sim.chaos import CALM, ChaosPlan, parse_chaos
+from gateway.sim.connection import Connection
+from gateway.sim.datagrams import Datagrams
 from gateway.sim.scenario import Scenario, find_scenario
 from gateway.sim.simulator import Port, Simulator, VirtualRobot
 
 if TYPE_CHECKING:
-    from asyncio import AbstractServer, Handle, Transport
+    from asyncio import AbstractServer, DatagramTransport
 
 # Controllers of one run begin this much apart in the scenario, so that they are not all doing the same.
 SPREAD_S = 3.7
-# Bytes that are read at once, and sends that may be owed before no more is read.
-_READ_SIZE = 2048
-_MOST_OWED = 64
 
 
 class SimulatorError(GatewayError):
@@ -78,15 +74,18 @@ class VirtualController:
         self.options = options
         self.plan = plan
         self.missing: list[SimulatorError] = []
-        self.connections: set[_Connection] = set()
+        self.connections: set[Connection] = set()
         self.start_s = 0.0
-        self._listeners = simulator.ports
-        self._numbers = list(simulator.port_numbers(port))
+        numbers = zip(simulator.ports, simulator.port_numbers(port), strict=True)
+        offered = [(listener, number) for listener, number in numbers if listener.offered(options)]
+        self._listeners = tuple(listener for listener, _ in offered)
+        self._numbers = [number for _, number in offered]
         self._servers: list[AbstractServer] = []
+        self._endpoints: list[DatagramTransport] = []
 
     @property
     def port(self) -> int:
-        """The main port, as bound."""
+        """The main port, or the first that is offered, as bound."""
         return self._numbers[0]
 
     @property
@@ -96,13 +95,24 @@ class VirtualController:
         pairs = zip(self._listeners, self._numbers, strict=True)
         return tuple((port.protocol, number) for port, number in pairs if number not in missing)
 
+    def port_of(self, protocol: str, transport: str = "tcp") -> int:
+        """The number, as bound, of the port of a protocol.
+
+        Raises:
+            KeyError: There is none.
+        """
+        for port, number in zip(self._listeners, self._numbers, strict=True):
+            if (port.protocol, port.transport) == (protocol, transport):
+                return number
+        raise KeyError(f"{protocol}/{transport}")
+
     async def start(self) -> None:
         """Begin to listen; after a stop, on the same ports as before.
 
         Raises:
             SimulatorError: A state port cannot be had.
         """
-        if self._servers:
+        if self._servers or self._endpoints:
             return
         self.start_s = asyncio.get_running_loop().time()
         self.missing = []
@@ -120,6 +130,9 @@ class VirtualController:
         servers, self._servers = self._servers, []
         for server in servers:
             server.close()
+        endpoints, self._endpoints = self._endpoints, []
+        for endpoint in endpoints:
+            endpoint.abort()
         for connection in list(self.connections):
             connection.abort()
         for server in servers:
@@ -129,157 +142,18 @@ class VirtualController:
         loop = asyncio.get_running_loop()
         number = self._numbers[index]
         try:
-            server = await loop.create_server(lambda: _Connection(self, port, loop), self.host, number)
+            if port.transport == "udp":
+                endpoint, _ = await loop.create_datagram_endpoint(
+                    lambda: Datagrams(lambda: Connection(self, port, loop)), local_addr=(self.host, number)
+                )
+                self._endpoints.append(endpoint)
+                self._numbers[index] = endpoint.get_extra_info("sockname")[1]
+            else:
+                server = await loop.create_server(lambda: Connection(self, port, loop), self.host, number)
+                self._servers.append(server)
+                self._numbers[index] = server.sockets[0].getsockname()[1]
         except OSError as error:
             raise SimulatorError(self.host, number, _advice(error)) from None
-        self._servers.append(server)
-        self._numbers[index] = server.sockets[0].getsockname()[1]
-
-
-class _Connection(asyncio.BufferedProtocol):
-    """One client. What it is owed leaves in order; the next send waits for the one before."""
-
-    def __init__(self, controller: VirtualController, port: Port, loop: asyncio.AbstractEventLoop) -> None:
-        self._controller = controller
-        self._port = port
-        self._loop = loop
-        self._plan = controller.plan if port.protocol is not None else CALM
-        self._chaos: Chaos | None = None
-        self._session = port.session(controller.robot, controller.options)
-        self._owed: deque[Delivery] = deque()
-        self._timers: dict[str, Handle] = {}
-        self._buffer = bytearray(_READ_SIZE)
-        self._held = b""
-        self._full = False
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Take the connection; both loops set TCP_NODELAY by themselves."""
-        self._transport = cast("Transport", transport)
-        self._controller.connections.add(self)
-        robot = self._controller.robot
-        if self._port.protocol is not None:
-            robot.connections += 1
-        if not self._plan.is_calm:
-            random = Random(f"{robot.seed}/{robot.number}/{robot.connections}")  # noqa: S311 - faults, not secrets
-            fillers = self._port.fillers
-            self._chaos = Chaos(self._plan, random, header=self._port.header, fillers=fillers, counts=robot.faults)
-            if self._plan.cut_every_s:
-                end = self._transport.abort if random.getrandbits(1) else self._transport.close
-                self._timers["cut"] = self._loop.call_later(self._plan.cut_every_s, self._cut, end)
-        if self._session.period_s is not None:
-            self._push(self._loop.time(), self._session.period_s)
-
-    def get_buffer(self, _size_hint: int) -> bytearray:
-        """Lend the buffer: a small one, because a client may send requests without end."""
-        return self._buffer
-
-    def buffer_updated(self, size: int) -> None:
-        """Let the session answer."""
-        data = bytes(self._buffer[:size])
-        left_s = self._plan.silence_left_s(self._loop.time() - self._controller.start_s)
-        if left_s or self._held:
-            self._controller.robot.faults["stall"] += 1
-            self._held += data
-            if "stall" not in self._timers:
-                self._timers["stall"] = self._loop.call_later(left_s, self._end_stall)
-        else:
-            self._answer(data)
-
-    def _end_stall(self) -> None:
-        """Answer what was asked during a stall, like a controller whose process has hung."""
-        held, self._held = self._held, b""
-        del self._timers["stall"]
-        self._answer(held)
-
-    def _answer(self, data: bytes) -> None:
-        try:
-            self._send(self._session.received(data, self._loop.time()))
-        except Exception as error:  # noqa: BLE001 - one client's bytes must not stop the others
-            self._failed(error)
-
-    def connection_lost(self, _exc: Exception | None) -> None:
-        """Forget the client."""
-        self._controller.connections.discard(self)
-        self._owed.clear()
-        for timer in self._timers.values():
-            timer.cancel()
-
-    def pause_writing(self) -> None:
-        """Stop reading the requests of a client that does not read the answers."""
-        self._full = True
-        self._balance()
-
-    def resume_writing(self) -> None:
-        """Go on."""
-        self._full = False
-        self._balance()
-
-    def _balance(self) -> None:
-        """Read on only while what is owed leaves."""
-        if self._transport.is_closing():
-            return
-        if self._full or len(self._owed) > _MOST_OWED:
-            self._transport.pause_reading()
-        else:
-            self._transport.resume_reading()
-
-    def abort(self) -> None:
-        """Close without a word."""
-        self._transport.abort()
-
-    def _cut(self, end: Callable[[], None]) -> None:
-        self._controller.robot.faults["cut"] += 1
-        end()
-
-    def _push(self, at_s: float, period_s: float) -> None:
-        """Call `due` at fixed times; what a slow client or a late loop missed is left out."""
-        now_s = self._loop.time()
-        next_s = max(at_s + period_s, now_s)
-        self._timers["push"] = self._loop.call_at(next_s, self._push, next_s, period_s)
-        silent = self._chaos is not None and self._plan.silent(now_s - self._controller.start_s)
-        if self._full or silent:
-            return
-        try:
-            self._send(self._session.due(now_s))
-        except Exception as error:  # noqa: BLE001 - as above
-            self._failed(error)
-
-    def _send(self, segments: Sequence[bytes]) -> None:
-        if self._chaos is not None:
-            self._owe(self._chaos.deliver(segments))
-        elif len(segments) == 1 and not self._owed:
-            self._transport.write(segments[0])
-        elif segments:
-            self._owe([Delivery(0.0, segment) for segment in segments])
-
-    def _owe(self, deliveries: Sequence[Delivery]) -> None:
-        idle = not self._owed
-        self._owed.extend(deliveries)
-        if idle and self._owed:
-            self._next()
-        if len(self._owed) > _MOST_OWED:
-            self._balance()
-
-    def _next(self) -> None:
-        """Have the head sent when its time comes."""
-        wait_s = self._owed[0].wait_s
-        call = self._loop.call_soon if wait_s <= 0 else partial(self._loop.call_later, wait_s)
-        self._timers["send"] = call(self._write)
-
-    def _write(self) -> None:
-        """Send the head: never two sends in one turn of the loop, which might join them."""
-        if not self._owed or self._transport.is_closing():
-            return
-        self._transport.write(self._owed.popleft().data)
-        if self._owed:
-            self._next()
-        if len(self._owed) == _MOST_OWED:
-            self._balance()
-
-    def _failed(self, error: Exception) -> None:
-        context = {"message": "a virtual controller's session failed", "exception": error, "protocol": self}
-        self._loop.call_exception_handler(context)
-        self._transport.abort()
 
 
 def _advice(error: OSError) -> str:

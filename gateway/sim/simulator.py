@@ -12,6 +12,7 @@ from typing import Protocol
 
 import msgspec
 
+from gateway.api.vendor import Transport
 from gateway.sim.scenario import RobotState, Scenario
 
 HIGHEST_PORT = 65535
@@ -21,7 +22,7 @@ class VirtualSession(Protocol):
     """One client's connection to a virtual controller.
 
     Attributes:
-        period_s: How often `due` wants to be called; None: never.
+        period_s: How often `due` wants to be called; None: never. It may change whenever bytes were received.
     """
 
     period_s: float | None
@@ -65,6 +66,7 @@ class VirtualRobot:
         frames: How many state frames went out.
         faults: How often chaos struck, by fault.
         sent: The last frames with what they meant, oldest first.
+        settings: What clients have set, by a name of the vendor's; it outlasts their connections.
     """
 
     def __init__(
@@ -83,6 +85,7 @@ class VirtualRobot:
         self.requests = 0
         self.frames = 0
         self.faults: Counter[str] = Counter()
+        self.settings: dict[str, object] = {}
         self.sent: deque[Sent] = deque(maxlen=keep)
         self._start_s = start_s
 
@@ -110,16 +113,21 @@ class Port:
         protocol: The protocol that reads state there; None for a port that is no state protocol, which has no chaos and
             may be missing.
         port: The vendor's port.
-        session: Makes the session of one connection from the robot and the simulator's options.
+        session: Makes the session of one connection from the robot and the simulator's options; over UDP one for each
+            address that sends something.
+        transport: `tcp` or `udp`.
         header: How many bytes of a frame are its header.
         fillers: Known frames that carry no state, for chaos to send in between.
+        offered: Whether a controller with some options listens there at all; an older firmware may not.
     """
 
     protocol: str | None
     port: int
     session: Callable[[VirtualRobot, msgspec.Struct], VirtualSession]
+    transport: Transport = "tcp"
     header: int = 0
     fillers: tuple[bytes, ...] = ()
+    offered: Callable[[msgspec.Struct], bool] = lambda _options: True
 
 
 class NoSimulatorOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

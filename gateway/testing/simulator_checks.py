@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from gateway.api.decoder import Decoder, Frame, Refused, Reject
+from collections import deque
+from collections.abc import Sequence
+
+from gateway.api.decoder import Decoder, Event, Frame, Refused, Reject
 from gateway.sim.scenario import SCENARIOS, find_scenario
 from gateway.sim.simulator import Port, Simulator, VirtualRobot, VirtualSession
 from gateway.testing.canonical_checks import canonical_fits
@@ -45,11 +48,19 @@ def _step(subject: Subject, decoder: Decoder, session: VirtualSession, now_s: fl
     asked = decoder.tick()
     if isinstance(asked, Refused):
         raise CheckFailed(f"the decoder refuses the virtual controller: {asked.reason}")
-    segments = session.received(asked, now_s) if asked else []
-    frames = [event for segment in (*segments, *session.due(now_s)) for event in decoder.feed(segment)]
+    segments = deque((*_answers(session, decoder.outgoing(), now_s), *_answers(session, asked, now_s)))
+    segments += session.due(now_s)
+    frames: list[Event] = []
+    while segments:
+        frames += decoder.feed(segments.popleft())
+        segments += _answers(session, decoder.outgoing(), now_s)
     for event in frames:
         if isinstance(event, (Reject, Refused)):
             raise CheckFailed(f"the decoder does not take what the virtual controller sends: {event}")
         if isinstance(event, Frame):
             canonical_fits(subject.normaliser(), event, f"the virtual controller after {now_s:g} s")
     return sum(isinstance(event, Frame) for event in frames)
+
+
+def _answers(session: VirtualSession, asked: bytes, now_s: float) -> Sequence[bytes]:
+    return session.received(asked, now_s) if asked else ()

@@ -107,7 +107,7 @@ def bulk_reading_agrees(subject: Subject) -> None:
             in_bulk = bulk if field.count is not None else [bulk]
             for a, b in zip(one_by_one, in_bulk, strict=True):
                 value = a["raw"] if isinstance(a, dict) else a
-                if value is not None and value != b:
+                if value is not None and value != field.shown(b):
                     raise CheckFailed(
                         f"{vector}: {field.name} is {value!r} one by one, {b!r} in bulk: correct its type"
                     )

@@ -70,6 +70,8 @@ class FakeConnection:
         delay_s: How long an answer takes.
     """
 
+    datagrams = False
+
     def __init__(self, answer: Callable[[bytes], Iterable[bytes]] = lambda _: (), delay_s: float = 0.001) -> None:
         self._answer = answer
         self._delay_s = delay_s
