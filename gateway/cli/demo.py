@@ -23,6 +23,7 @@ from gateway.cli.common import USAGE, call, fail, tell, terminal
 from gateway.cli.view import UNKNOWN, robots_table
 from gateway.client import Client, connect
 from gateway.config import Config, parse
+from gateway.config.printing import toml_value
 from gateway.core.registry import Registry
 from gateway.core.settings import BrokenRobot, RobotSettings
 from gateway.errors import ConfigError, VendorError
@@ -69,7 +70,7 @@ def demo(
 
 
 def demo_toml(registry: Registry, listen: str = DEFAULT_LISTEN) -> str:
-    """The configuration of the demo: one robot for each protocol that has a virtual controller."""
+    """The configuration of the demo: one robot for each protocol and transport that has a virtual controller."""
     lines = [
         "# The configuration of `robot-gateway demo`: one virtual controller of each vendor and protocol.",
         "# By hand: `robot-gateway simulate VENDOR --host ADDRESS` in other terminals, then",
@@ -78,13 +79,18 @@ def demo_toml(registry: Registry, listen: str = DEFAULT_LISTEN) -> str:
         "[server]",
         f'listen = "{listen}"',
     ]
-    number = 0
-    for vendor, simulator in _simulators(registry):
-        for protocol in {port.protocol: None for port in simulator.ports if port.protocol}:
-            number += 1
-            lines += ["", "[[robots]]", f'name = "r{number}"', f'vendor = "{vendor}"', f'protocol = "{protocol}"']
-            lines.append(f'host = "127.0.0.{_FIRST_ADDRESS + number - 1}"')
-            lines += [f"{key} = {_toml(value)}" for key, value in simulator.demo.items()]
+    served = [
+        (vendor, simulator, port)
+        for vendor, simulator in _simulators(registry)
+        for port in simulator.ports
+        if port.protocol is not None
+    ]
+    for number, (vendor, simulator, port) in enumerate(served, start=1):
+        lines += ["", "[[robots]]", f'name = "r{number}"', f'vendor = "{vendor}"', f'protocol = "{port.protocol}"']
+        lines.append(f'host = "127.0.0.{_FIRST_ADDRESS + number - 1}"')
+        lines += [f"{key} = {toml_value(value)}" for key, value in simulator.demo.items()]
+        if port.transport != "tcp":
+            lines += [f"[robots.{port.protocol}]", f"transport = {toml_value(port.transport)}"]
     return "\n".join(lines) + "\n"
 
 
@@ -136,7 +142,7 @@ async def _served(
             continue
     if controller is None:  # no such address: on macOS there is only one
         (controller,) = await stack.enter_async_context(serve(simulator, host="127.0.0.1", port=0))
-    port = dict(controller.ports)[robot.protocol.name]
+    port = controller.number_of(robot.protocol.name, robot.protocol.transport(robot.options))
     return dataclasses.replace(robot, host=controller.host, port=port, origin="sim")
 
 
@@ -201,9 +207,3 @@ def _simulators(registry: Registry) -> Iterator[tuple[str, Simulator]]:
             yield name, cast("Simulator", registry.simulator(name))
         except VendorError as error:
             tell("warning:", "yellow", str(error))
-
-
-def _toml(value: object) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return f'"{value}"' if isinstance(value, str) else str(value)

@@ -14,8 +14,8 @@ import typer
 from gateway.api.vendor import Vendor
 from gateway.app import connector
 from gateway.cli.common import FAILURE, call, fail, tell
-from gateway.config_keys import host_fault
-from gateway.config_print import toml_value
+from gateway.config.keys import host_fault
+from gateway.config.printing import toml_value
 from gateway.core.probe import Finding, Question, Verdict, probe
 from gateway.core.registry import Registry
 from gateway.errors import ConfigError, UnknownVendor, VendorError

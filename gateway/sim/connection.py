@@ -1,4 +1,4 @@
-"""One client of a virtual controller: what its session answers or pushes leaves in order, with the chaos of the plan."""
+"""One client of a virtual controller: what its session answers or pushes, in order, with the chaos of the plan."""
 
 from __future__ import annotations
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from gateway.api.vendor import Transport
 from gateway.errors import GatewayError
 from gateway.sim.chaos import CALM, ChaosPlan, parse_chaos
 from gateway.sim.connection import Connection
@@ -105,6 +106,15 @@ class VirtualController:
             if (port.protocol, port.transport) == (protocol, transport):
                 return number
         raise KeyError(f"{protocol}/{transport}")
+
+    def number_of(self, protocol: str, transport: Transport = "tcp") -> int:
+        """The port of a protocol over a transport.
+
+        Raises:
+            KeyError: It is not served.
+        """
+        pairs = zip(self._listeners, self._numbers, strict=True)
+        return {(port.protocol, port.transport): number for port, number in pairs}[protocol, transport]
 
     async def start(self) -> None:
         """Begin to listen; after a stop, on the same ports as before.

@@ -13,8 +13,10 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from typing import cast
 
+from gateway.api.vendor import Transport
 from gateway.app import Gateway, running
 from gateway.config import parse
+from gateway.config.printing import toml_value
 from gateway.core.registry import Registry
 from gateway.sim.chaos import CALM, ChaosPlan
 from gateway.sim.scenario import Scenario
@@ -65,7 +67,8 @@ async def virtual_cell(
         chaos: The chaos that the connections suffer.
         seed: For what is random.
         keep: How many of the last frames each controller keeps with what they meant.
-        settings: Further keys of each robot's entry in the configuration, such as `rate_hz`.
+        settings: Further keys of each robot's entry in the configuration, such as `rate_hz`, or `cnde` for the table of
+            that protocol's options.
         registry: Where the plugin is found.
 
     Raises:
@@ -75,28 +78,23 @@ async def virtual_cell(
     registry = registry or Registry()
     simulator = cast("Simulator", registry.simulator(vendor))
     chosen = protocol or registry.vendor(vendor).protocol().name
+    options = (settings or {}).get(chosen)
+    transport: Transport = "udp" if isinstance(options, Mapping) and options.get("transport") == "udp" else "tcp"
     async with AsyncExitStack() as stack:
         controllers = await stack.enter_async_context(
             serve(simulator, host=host, port=0, count=count, scenario=scenario, chaos=chaos, seed=seed, keep=keep),
         )
         text = '[server]\nlisten = "127.0.0.1:0"\n'
         for number, controller in enumerate(controllers, start=1):
-            ports = dict(controller.ports)
             entry = {
                 "name": f"r{number}",
                 "vendor": vendor,
                 "protocol": chosen,
                 "host": controller.host,
-                "port": ports[chosen],
+                "port": controller.number_of(chosen, transport),
                 **simulator.demo,
                 **(settings or {}),
             }
-            text += "\n[[robots]]\n" + "".join(f"{key} = {_toml(value)}\n" for key, value in entry.items())
+            text += "\n[[robots]]\n" + "".join(f"{key} = {toml_value(value)}\n" for key, value in entry.items())
         gateway = await stack.enter_async_context(running(parse(text, "virtual cell", registry)))
         yield VirtualCell(gateway, controllers)
-
-
-def _toml(value: object) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return f'"{value}"' if isinstance(value, str) else str(value)

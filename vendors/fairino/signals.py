@@ -110,7 +110,7 @@ def pressed(emergency_stop: int | None, button_box: int | None, estop_polarity: 
     return False if emergency_stop == released and button_box in {released, None} else None
 
 
-def safety_state(  # noqa: PLR0917 - the sources of a row come by position
+def safety_state(
     emergency_stop: int | None,
     button_box: int | None,
     collision: int | None,

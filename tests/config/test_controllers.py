@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from gateway.config import parse
-from gateway.config_print import as_toml
+from gateway.config.printing import as_toml
 from gateway.core.registry import Registry
 from gateway.core.settings import RobotSettings
 from gateway.errors import ConfigError
