@@ -40,7 +40,10 @@ def deadline_s(at_s: float) -> float:
     uvloop's timers have no finer steps: a deadline between two of them makes anyio set it again and again until it is
     there, which costs up to a millisecond of CPU for each wait.
     """
-    return math.ceil(at_s * 1000) / 1000 if at_s < math.inf else math.inf
+    if at_s == math.inf:
+        return at_s
+    whole_s = math.ceil(at_s * 1000) / 1000
+    return whole_s if whole_s >= at_s else whole_s + 0.001  # a product rounded down must not end the wait too early
 
 
 class Timeline:

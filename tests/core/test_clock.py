@@ -1,6 +1,9 @@
 from __future__ import annotations
 
-from gateway.core.clock import SystemClock, Timeline
+import math
+import random
+
+from gateway.core.clock import SystemClock, Timeline, deadline_s
 
 
 class SetClock:
@@ -57,3 +60,14 @@ def test_a_clock_set_back_by_hours_asks_for_a_new_epoch_and_is_followed() -> Non
 
 def test_the_system_clock_counts_microseconds_since_1970() -> None:
     assert SystemClock().utc_us() > 1_700_000_000_000_000
+
+
+def test_a_deadline_is_the_next_whole_millisecond_and_never_before_its_time() -> None:
+    numbers = random.Random(1)
+    for _ in range(20_000):
+        at_s = numbers.uniform(0, 1e6)
+        for near_s in (at_s, math.nextafter(round(at_s, 3), math.inf), round(at_s, 3)):
+            whole_s = deadline_s(near_s)
+            assert near_s <= whole_s <= near_s + 0.0021
+            assert abs(whole_s * 1000 - round(whole_s * 1000)) < 1e-5
+    assert deadline_s(math.inf) == math.inf
