@@ -63,7 +63,7 @@ def test_the_system_clock_counts_microseconds_since_1970() -> None:
 
 
 def test_a_deadline_is_the_next_whole_millisecond_and_never_before_its_time() -> None:
-    numbers = random.Random(1)
+    numbers = random.Random(1)  # noqa: S311 - test data
     for _ in range(20_000):
         at_s = numbers.uniform(0, 1e6)
         for near_s in (at_s, math.nextafter(round(at_s, 3), math.inf), round(at_s, 3)):
