@@ -20,7 +20,7 @@ from rich.text import Text
 from gateway import logs
 from gateway.app import Gateway, running
 from gateway.cli.common import USAGE, call, fail, tell, terminal
-from gateway.cli.view import UNKNOWN, robots_table
+from gateway.cli.view import UNKNOWN, robots_table, spoken
 from gateway.client import Client, connect
 from gateway.config import Config, parse
 from gateway.config.printing import toml_value
@@ -182,7 +182,7 @@ async def _show_lines(client: Client, gateway: Gateway, served: list[RobotSettin
         for robot in await client.robots():
             rate = UNKNOWN if robot.link.reached_hz is None else f"{robot.link.reached_hz:.0f} Hz"
             joints = _joints(latest.get(f"{robot.name}/joints"))
-            sys.stdout.write(f"{robot.name}  {robot.vendor}  {robot.link.state}  {rate}  joints {joints}\n")
+            sys.stdout.write(f"{robot.name}  {spoken(robot)}  {robot.link.state}  {rate}  joints {joints}\n")
         sys.stdout.flush()
 
 

@@ -104,7 +104,7 @@ def _row(robot: RobotInfo, latest: Mapping[str, Sample], now_us: int) -> tuple[T
     status = _data(latest.get(f"{robot.name}/status"))
     return (
         Text(robot.name),
-        Text(robot.vendor),
+        Text(spoken(robot)),
         coloured(link.state.value),
         Text(duration((now_us - link.since) / 1e6)),
         Text(f"{link.reached_hz:.0f}" if link.reached_hz is not None else UNKNOWN),
@@ -113,6 +113,11 @@ def _row(robot: RobotInfo, latest: Mapping[str, Sample], now_us: int) -> tuple[T
         coloured(_word(status, "program", "state")),
         coloured(_word(_data(latest.get(f"{robot.name}/safety")), "state")),
     )
+
+
+def spoken(robot: RobotInfo) -> str:
+    """What is spoken with a robot: `fairino:cnde`; the vendor alone where its plugin could not be loaded."""
+    return f"{robot.vendor}:{robot.protocol}" if robot.protocol else robot.vendor
 
 
 def link_reason(robot: RobotInfo, now_us: int) -> str:

@@ -18,7 +18,7 @@ async def test_status_shows_the_robot_in_a_table_and_as_json() -> None:
     assert (shown.code, shown.err) == (0, "")
     head, _, row = shown.out.splitlines()[:3]
     assert head.split() == ["robot", "speaks", "link", "for", "Hz", "power", "motion", "program", "safety"]
-    assert row.split()[:3] == ["r1", "rainbow", "ONLINE"]
+    assert row.split()[:3] == ["r1", "rainbow:reqdata", "ONLINE"]
     assert told.code == 0
     (robot,) = json.loads(told.out)
     assert robot["link"]["state"] == "ONLINE"

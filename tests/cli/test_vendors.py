@@ -55,8 +55,8 @@ def test_the_table_has_one_line_for_each_protocol_the_default_first(app: typer.T
     assert result.exit_code == 0
     rows = [re.split(r"\s{2,}", line.strip()) for line in result.stdout.splitlines()]
     assert rows[0] == ["VENDOR", "TITLE", "PROTOCOL", "PORT", "READ", "FOUND"]
-    assert rows[1] == ["kilo", "Kilo [Arms]", "cnde", "20005", "pushed", str(folder)]
-    assert rows[2] == ["legacy", "8083", "polled 10 Hz"]
+    kilo = rows.index(["kilo", "Kilo [Arms]", "cnde", "20005", "pushed", str(folder)])
+    assert rows[kilo + 1] == ["legacy", "8083", "polled 10 Hz"]
     assert ["rainbow", "Rainbow Robotics RB", "reqdata", "5001", "polled 50 Hz, at most 500", "built in"] in rows
 
 

@@ -57,7 +57,7 @@ def test_a_wrong_text_is_refused_with_what_is_allowed(text: str, message: str) -
 
 def test_every_fault_is_explained() -> None:
     assert [line.partition("=")[0] for line in explain().splitlines()] == [
-        "split", "coalesce", "skip", "double", "junk", "header", "corrupt", "delay", "stall", "cut",
+        "split", "coalesce", "skip", "double", "junk", "header", "corrupt", "checksum", "tail", "delay", "stall", "cut",
     ]  # fmt: skip
 
 

@@ -16,7 +16,7 @@ from gateway.cli import simulate
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("rainbo", 'did you mean "rainbow"?'),
+        ("rainbo", 'did you mean "rainbow"'),
         ("rainbow --layout 500", "layout is 500: it is one of 464"),
         ("rainbow --chaos splt=1", "chaos 'splt' is unknown"),
         ("rainbow --scenario cel", "no scenario 'cel'"),
