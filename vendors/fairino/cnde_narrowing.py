@@ -11,12 +11,17 @@ from vendors.fairino.cnde_states import ALL_STATES
 
 # The two states that every known client gets: they are tried at last where halving has found nothing.
 FIRST_STATES = ("actual_joint_pos", "actual_TCP_pos")
-_SDK_DEFAULT = 75  # ids up to here are the SDK's own default set
-_ON_THE_PAGE = 131  # ids up to here stand on the vendor's page; later ones, and states without an id, are often unknown
+_MANY_MORE = 6  # times as many unknown names as suspect ones are tried at once
+# The highest id of each firmware from 3.6 on: an older controller refuses all that came later.
+_LAST_IDS = (46, 47, 53, 58, 63, 64, 66, 68, 74, 76, 131, 132, 133)
 
 
 class Narrowing:
     """The search for the largest set that is granted.
+
+    What is not granted yet is either suspect, in sets that must hold a refused name, or merely unknown. Mostly there is
+    one refused name, so the largest suspect set is halved first; the unknown names are tried together as soon as they
+    are many more than the suspects.
 
     Args:
         states: What is wanted, in the order of the configuration.
@@ -34,9 +39,10 @@ class Narrowing:
     def __init__(self, states: Sequence[str]) -> None:
         self._wanted = tuple(states)
         self._trial: tuple[str, ...] = self._wanted
-        self._todo: list[tuple[str, ...]] = []
+        self._sibling: tuple[str, ...] = ()  # the other half of a suspect set of which the trial is one half
+        self._suspect: list[tuple[str, ...]] = []
+        self._unknown: frozenset[str] = frozenset()
         self._tries = 0
-        self._known_bad: tuple[str, ...] = ()  # a set that must hold a refused name, since its other half is granted
         self.granted: frozenset[str] = frozenset()
         self.refused: list[str] = []
         self.untried: tuple[str, ...] = ()
@@ -53,33 +59,27 @@ class Narrowing:
         return not self.done and not self.proposal
 
     def accept(self) -> None:
-        """The proposal was accepted."""
-        self._tries += 1
+        """The proposal was accepted: then it is the other half that holds a refused name."""
         self.granted |= frozenset(self._trial)
-        self._trial = ()
+        if self._sibling:
+            self._suspect.append(self._sibling)
         self._next(settled=True)
 
     def refuse(self) -> None:
-        """The proposal was refused."""
-        self._tries += 1
-        trial, self._trial = self._trial, ()
-        if not trial:  # even what was granted before
+        """The proposal was refused: of the other half nothing is known."""
+        if self._trial:
+            self._suspect.append(self._trial)
+            self._unknown |= frozenset(self._sibling)
+        else:  # even what was granted before
             self.granted = frozenset()
-        elif len(trial) == 1:
-            self._isolate(trial)
-        else:
-            self._split(trial)
         self._next(settled=False)
 
     def drop(self, names: Collection[str]) -> None:
         """The proposal was accepted, but some of its names cannot be used."""
-        self._tries += 1
         self.refused += [name for name in self.proposal if name in names]
-        self._wanted = tuple(name for name in self._wanted if name not in names)
+        self._unknown |= frozenset(self._trial) | frozenset(self._sibling)
+        self._unknown -= frozenset(names)
         self.granted -= frozenset(names)
-        rest = tuple(name for name in self._trial if name not in names)
-        self._trial = self._known_bad = ()
-        self._todo = [*([rest] if rest else []), *self._todo]
         self._next(settled=False)
 
     def _next(self, *, settled: bool) -> None:
@@ -88,54 +88,52 @@ class Narrowing:
         Args:
             settled: Whether the controller's configuration is what is granted.
         """
-        if self._known_bad and settled:
-            bad, self._known_bad = self._known_bad, ()
-            self._todo.remove(bad)
-            if len(bad) == 1:
-                self._isolate(bad)
-            else:
-                self._split(bad)
+        self._tries += 1
+        self._trial = self._sibling = ()
+        self.refused += [name for part in self._suspect if len(part) == 1 for name in part]
+        self._suspect = sorted((part for part in self._suspect if len(part) > 1), key=len)
         left = self.MOST_TRIES - self._tries
-        if left == 2 and not self.granted:  # noqa: PLR2004 - one try, and one for what it grants
-            self._keep_first_states()
-        if left > 1 and self._todo:
-            self._trial = self._todo.pop(0)
-            return
-        self.untried = tuple(name for part in self._todo for name in part)
-        self.done = settled and bool(self.granted)
+        if left > 1:
+            self._choose(nearly_over=left == 2)  # noqa: PLR2004 - one try, and one for what it grants
+        if not self._trial:
+            rest = self._unknown.union(*self._suspect)
+            self.untried = tuple(name for name in self._wanted if name in rest)
+            self.done = settled and bool(self.granted)
 
-    def _split(self, states: tuple[str, ...]) -> None:
-        low, high = _halves(states)
-        self._todo = [low, high, *self._todo]
-        self._known_bad = high
+    def _choose(self, *, nearly_over: bool) -> None:
+        largest = len(self._suspect[-1]) if self._suspect else 0
+        if nearly_over and not self.granted:
+            self._trial = self._first_states()
+        if not self._trial and self._unknown and len(self._unknown) >= _MANY_MORE * largest:
+            self._trial = tuple(name for name in self._wanted if name in self._unknown)
+            self._unknown = frozenset()
+        elif not self._trial and self._suspect:
+            self._trial, self._sibling = _halves(self._suspect.pop())
 
-    def _keep_first_states(self) -> None:
-        """Bring to the front what is granted most likely."""
-        first = tuple(name for name in FIRST_STATES if any(name in part for part in self._todo))
-        if first:
-            self._todo = [first, *(tuple(name for name in part if name not in first) for part in self._todo)]
-
-    def _isolate(self, state: tuple[str, ...]) -> None:
-        """One refused name is found: all the rest may be good, so it is tried together."""
-        self.refused += state
-        self._known_bad = ()
-        rest = frozenset(name for part in self._todo for name in part)
-        self._todo = [tuple(name for name in self._wanted if name in rest)] if rest else []
+    def _first_states(self) -> tuple[str, ...]:
+        """Take out what is granted most likely; of the sets that it stood in nothing is known any more."""
+        first = frozenset(FIRST_STATES)
+        touched = [part for part in self._suspect if first.intersection(part)]
+        found = first & self._unknown.union(*touched)
+        self._suspect = [part for part in self._suspect if part not in touched]
+        self._unknown = self._unknown.union(*touched) - found
+        return tuple(name for name in self._wanted if name in found)
 
 
 def _halves(states: tuple[str, ...]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Split a set: first by how likely its states are known, then in the middle."""
-    likeliest = max(_rank(name) for name in states)
-    low = tuple(name for name in states if _rank(name) < likeliest)
-    if low:
-        return low, tuple(name for name in states if _rank(name) == likeliest)
+    """Split a set: where firmware once grew, if that is in its middle third, else in the middle."""
     middle = len(states) // 2
-    return states[:middle], states[middle:]
+    grown = [
+        at
+        for at in range(1, len(states))
+        if len(states) <= 3 * at <= 2 * len(states)
+        and any(_age(states[at - 1]) <= last < _age(states[at]) for last in _LAST_IDS)
+    ]
+    at = min(grown, key=lambda at: abs(at - middle), default=middle)
+    return states[:at], states[at:]
 
 
-def _rank(name: str) -> int:
-    """How unlikely it is that a controller knows a state, from 0."""
+def _age(name: str) -> int:
+    """The id of a state; those without one are known last."""
     state = ALL_STATES.get(name)
-    if state is None or state.id is None or state.id > _ON_THE_PAGE:
-        return 2
-    return 0 if state.id <= _SDK_DEFAULT else 1
+    return 1000 if state is None or state.id is None else state.id
