@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 
 from rich import box
@@ -74,11 +74,12 @@ def robots_table(
     shown = list(robots)
     if not shown:
         return Text("no robots are configured")
-    rows = [_row(robot, latest, now_us) for robot in shown]
-    widths = [max(map(len, column)) for column in zip(_HEADINGS, *rows, strict=True)]
+    rows = [_row(robot, spoken(robot), latest, now_us) for robot in shown]
+    if _needed(rows, _HEADINGS) > width:
+        rows = [_row(robot, robot.vendor, latest, now_us) for robot in shown]
     kept = set(_HEADINGS)
     for heading in _LEAST_IMPORTANT:
-        if sum(widths[index] + _GAP for index, name in enumerate(_HEADINGS) if name in kept) - _GAP <= width:
+        if _needed(rows, kept) <= width:
             break
         kept.remove(heading)
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
@@ -98,13 +99,19 @@ def robots_table(
     return Group(table, *below)
 
 
-def _row(robot: RobotInfo, latest: Mapping[str, Sample], now_us: int) -> tuple[Text, ...]:
+def _needed(rows: Iterable[Sequence[Text]], kept: Collection[str]) -> int:
+    """How wide a table of some of the columns is."""
+    columns = zip(_HEADINGS, *rows, strict=True)
+    return sum(max(map(len, column)) + _GAP for column in columns if column[0] in kept) - _GAP
+
+
+def _row(robot: RobotInfo, speaks: str, latest: Mapping[str, Sample], now_us: int) -> tuple[Text, ...]:
     """The cells of one robot, in the order of the headings."""
     link = robot.link
     status = _data(latest.get(f"{robot.name}/status"))
     return (
         Text(robot.name),
-        Text(spoken(robot)),
+        Text(speaks),
         coloured(link.state.value),
         Text(duration((now_us - link.since) / 1e6)),
         Text(f"{link.reached_hz:.0f}" if link.reached_hz is not None else UNKNOWN),

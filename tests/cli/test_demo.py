@@ -31,7 +31,7 @@ async def test_without_a_terminal_it_prints_plain_lines_and_ends_by_itself() -> 
     assert done.code == 0
     lines = done.out.splitlines()
     assert lines
-    row = r"r\d+  [a-z_]+:[a-z]+  [A-Z]+  \S+( Hz)?  joints(( +-?\d+\.\d{3})+ rad| –)"
+    row = r"r\d+  [a-z_]+:[a-z]+  [A-Z]+  \S+( Hz)?  joints(( +-?\d+\.\d{3})+ rad| \u2013)"
     assert all(re.fullmatch(row, line) for line in lines)
     assert any("rainbow:reqdata  ONLINE" in line for line in lines)
     assert "demo: doors at ws://127.0.0.1:" in done.err
