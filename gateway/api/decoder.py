@@ -85,7 +85,7 @@ class Decoder(Protocol):
 
     @property
     def ready(self) -> bool:
-        """Whether the handshake is done: the link goes from HANDSHAKING to ONLINE with the first frame after it."""
+        """Whether the handshake is done, so that frames may come: a link that hears none says what is missing."""
         ...
 
     @property

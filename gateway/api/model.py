@@ -335,13 +335,13 @@ class Link(msgspec.Struct, frozen=True, kw_only=True):
 
     state: Annotated[LinkState, _is("State of the link.")]
     reason: Annotated[str | None, _is("Why it is in this state, for the operator.")] = None
-    since: Annotated[int, _in("µs", "When it entered the state, UTC since 1970.")]
+    since: Annotated[int, _in("µs", "Since when it is online, or is not: retries do not restart it. UTC since 1970.")]
     attempts: Annotated[int, _is("Attempts to connect since the last good frame.")] = 0
     protocol: Annotated[str, _is("The vendor's protocol that is spoken.")]
     peer: Annotated[str, _is("Address of the controller.")]
     layout: Annotated[str | None, _is("The layout of the frames of this session.")] = None
     requested_hz: Annotated[float | None, _in("Hz", "Rate asked for; null where the controller sets it.")] = None
-    reached_hz: Annotated[float | None, _in("Hz", "Rate reached in the last second, rounded.")] = None
+    reached_hz: Annotated[float | None, _in("Hz", "Rate reached by the last frames, rounded.")] = None
     last_error: Annotated[str | None, _is("The last reason why the link was lost.")] = None
     next_attempt: Annotated[int | None, _in("µs", "When the next attempt is due, UTC since 1970.")] = None
     notes: Annotated[list[str], _is("What the operator should know of this link, one sentence each.")] = []
@@ -353,7 +353,9 @@ class LinkStats(msgspec.Struct, frozen=True):
     frames: Annotated[int, _is("Good frames.")] = 0
     skipped: Annotated[int, _is("Known frames that carry no state.")] = 0
     rejects: Annotated[dict[str, int], _is("Rejects by reason.")] = {}
-    bad_values: Annotated[int, _is("Groups that held NaN or infinite values.")] = 0
+    bad_values: Annotated[
+        int, _is("Groups that held NaN or infinite values, of those that were read; state always is.")
+    ] = 0
     gaps: Annotated[int | None, _is("Frames that the controller numbered and we did not see; null: no number.")] = None
     sessions: Annotated[int, _is("Sessions that were opened.")] = 0
     n_bytes: Annotated[int, _in("byte", "Bytes received.")] = 0

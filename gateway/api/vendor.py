@@ -10,8 +10,9 @@ from typing import Literal
 import msgspec
 
 from gateway.api.decoder import Decoder
-from gateway.api.framing import FramedDecoder, Framing, Polled
+from gateway.api.framing import FramedDecoder, Framing
 from gateway.api.layout import Layout
+from gateway.api.polling import Polled
 from gateway.api.signals import Signal
 
 OnStale = Literal["close", "keep"]

@@ -10,9 +10,11 @@ from collections.abc import Callable, Iterable
 from fnmatch import fnmatchcase
 from typing import Literal, Protocol
 
+import msgspec
+
 from gateway.api.compiler import Reader
 from gateway.api.decoder import Frame
-from gateway.api.model import GROUPS, Event, EventKind, Group, Quality, Sample, worst
+from gateway.api.model import GROUPS, Event, EventKind, Group, Quality, Sample, Status, worst
 from gateway.core.events import EventRing
 
 Origin = Literal["live", "sim", "replay"]
@@ -22,6 +24,15 @@ class Reading(Protocol):
     """What one moment says of a topic; `encoded` is the doors' cache, so that each encoding is made once."""
 
     encoded: dict[object, bytes]
+
+    @property
+    def urgent(self) -> bool:
+        """Whether it says that no more values come: it waits for no rate."""
+        ...
+
+    def broken(self, topic: Topic, error: Exception) -> Sample:
+        """The empty sample with q BAD that takes the place of one that cannot be encoded: a plugin's mistake."""
+        ...
 
     def sample(self, topic: Topic) -> Sample:
         """The canonical sample."""
@@ -64,11 +75,16 @@ class Topic:
 class ValueReading:
     """A reading whose value is at hand: the link's own topics, and the last sample of a lost one."""
 
-    __slots__ = ("_sample", "encoded")
+    __slots__ = ("_sample", "encoded", "urgent")
 
     def __init__(self, sample: Sample) -> None:
         self._sample = sample
+        self.urgent = sample.q in {Quality.STALE, Quality.DISCONNECTED}
         self.encoded: dict[object, bytes] = {}
+
+    def broken(self, topic: Topic, error: Exception) -> Sample:
+        """The gateway's own words can be encoded."""
+        raise ValueError(f"{topic.name} cannot be encoded") from error
 
     def sample(self, topic: Topic) -> Sample:  # noqa: ARG002 - such a reading belongs to one topic
         """The sample."""
@@ -84,11 +100,12 @@ class FrameStream:
         quality: Worst quality of every frame: UNCERTAIN where they are longer than the layout.
         origin: Where they come from.
         on_bad: Called when a group held NaN or infinity.
-        on_broken: Called when a plugin's function raised in a group.
+        on_broken: Called when a plugin's function failed in a group.
+        stamped: Fills in since when faults stand.
         t_src: Reads the controller's own time from a frame; None where it is not known.
     """
 
-    __slots__ = ("epoch", "on_bad", "on_broken", "origin", "quality", "readers", "t_src")
+    __slots__ = ("epoch", "on_bad", "on_broken", "origin", "quality", "readers", "stamped", "t_src")
 
     def __init__(
         self,
@@ -97,7 +114,8 @@ class FrameStream:
         quality: Quality,
         origin: Origin,
         on_bad: Callable[[], None],
-        on_broken: Callable[[str, Exception], None],
+        on_broken: Callable[[str, BaseException], None],
+        stamped: Callable[[Status], Status],
         t_src: Callable[[Frame], int | None] | None = None,
     ) -> None:
         self.epoch = epoch
@@ -106,6 +124,7 @@ class FrameStream:
         self.origin: Origin = origin
         self.on_bad = on_bad
         self.on_broken = on_broken
+        self.stamped = stamped
         self.t_src = t_src
 
 
@@ -121,6 +140,19 @@ class FrameReading:
         self.t = t
         self._samples: dict[str, Sample] = {}
         self.encoded: dict[object, bytes] = {}
+
+    @property
+    def urgent(self) -> bool:
+        """A frame is never the last word."""
+        return False
+
+    def broken(self, topic: Topic, error: Exception) -> Sample:
+        """Report a plugin's mistake and give the empty group in its place."""
+        group = topic.group.name
+        self.stream.on_broken(group, error)
+        sample = msgspec.structs.replace(self.sample(topic), data=self.stream.readers[group].empty, q=Quality.BAD)
+        self._samples[group] = sample
+        return sample
 
     def sample(self, topic: Topic) -> Sample:
         """The canonical sample of a topic of this robot."""
@@ -138,9 +170,11 @@ class FrameReading:
         stream = self.stream
         try:
             data, bad = reader.read(self.frame.raw, self.frame.start)
-        except Exception as error:  # noqa: BLE001 - a plugin's mistake costs its group, not the link or a subscriber
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a plugin's mistake costs its group and no more
             stream.on_broken(topic.group.name, error)
             data, bad = reader.empty, True
+        if isinstance(data, Status):
+            data = stream.stamped(data)
         quality = reader.quality
         if stream.quality is not Quality.GOOD:
             quality = worst(quality, stream.quality)

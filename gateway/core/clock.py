@@ -6,8 +6,8 @@ import math
 import time
 from typing import Protocol
 
-# A wall clock that is set back by more than this is not waited for: a new epoch begins instead.
-BACK_STEP_US = 500_000
+# A wall clock that is set by more than this has jumped: backwards it is not waited for, a new epoch begins instead.
+STEP_US = 500_000
 
 
 class Clock(Protocol):
@@ -67,19 +67,18 @@ class Timeline:
         """The UTC time, µs since 1970, of now."""
         return self.stamp(self._clock.monotonic())
 
-    def follow(self) -> bool:
+    def follow(self) -> int:
         """Follow the wall clock, which may have been set.
 
         Returns:
-            Whether it was set back so far that a new epoch must begin.
+            By how many µs it has jumped, 0 for none: after a jump back (negative) a new epoch must begin.
         """
         measured = self._measured_offset_us()
-        if measured - self._offset_us < -BACK_STEP_US:
-            self._offset_us = measured
-            self._last_us = 0
-            return True
+        jump_us = measured - self._offset_us
         self._offset_us = measured
-        return False
+        if jump_us < -STEP_US:
+            self._last_us = 0
+        return jump_us if abs(jump_us) > STEP_US else 0
 
     def _measured_offset_us(self) -> int:
         return self._clock.utc_us() - int(self._clock.monotonic() * 1e6)

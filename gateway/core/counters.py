@@ -39,6 +39,7 @@ class LinkCounters:
         """A session has begun: its first frame has no predecessor."""
         self.sessions += 1
         self._number = None
+        self._times_s.clear()
 
     def take(self, n_bytes: int, events: Sequence[Event], at_s: float, decode_s: float) -> None:
         """Count what one read has brought."""
@@ -100,9 +101,11 @@ class LinkCounters:
             self._gaps += step - 1
 
     def _update_rate(self, intervals: Sequence[float]) -> None:
-        """Rate of the frames of the last second; said anew only when it has really changed."""
+        """Rate by the last intervals; said anew only when it has really changed, and kept where there was none."""
         span_s = sum(intervals)  # 0 where all came in one read
-        rate_hz = round(len(intervals) / span_s, 1) if span_s else 0.0
+        if not span_s:
+            return
+        rate_hz = round(len(intervals) / span_s, 1)
         known = self.reached_hz
-        if known is None or rate_hz == 0 or abs(rate_hz - known) > _RATE_STEP * known:
+        if known is None or abs(rate_hz - known) > _RATE_STEP * known:
             self.reached_hz = rate_hz

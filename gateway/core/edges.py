@@ -1,7 +1,8 @@
 """Edges: events found once, in one place, in the canonical state of a robot.
 
-What is compared is the last value that was known: a value that becomes null (a lost link) is no edge, and what changed
-while nobody could see it is one as soon as it is seen again.
+Only live frames are compared. What changed while the link was lost is an edge as soon as it is seen again. The first
+value ever seen is none, for nothing is known to have changed, but for what nobody may miss: a pressed emergency stop, a
+detected collision, a fault.
 """
 
 from __future__ import annotations
@@ -73,6 +74,8 @@ _RULES: dict[str, Rule] = {
     "safety.self_collision": _switched(EventKind.COLLISION_DETECTED, EventKind.COLLISION_CLEARED),
 }
 
+_AT_FIRST_SIGHT = {EventKind.ESTOP_PRESSED, EventKind.COLLISION_DETECTED}
+
 
 class EdgeFinder:
     """Finds the edges of one robot and remembers since when its faults stand."""
@@ -90,6 +93,12 @@ class EdgeFinder:
                 "safety.self_collision": safety.self_collision,
             },
         )
+
+    def stamped(self, status: Status) -> Status:
+        """The status whose known faults say since when they stand."""
+        if not status.faults:
+            return status
+        return msgspec.structs.replace(status, faults=[self._faults.get(fault.key, fault) for fault in status.faults])
 
     def observe_status(self, status: Status, t: int) -> tuple[Status, list[Edge]]:
         """Compare the status group with what was known, and stamp its faults.
@@ -131,11 +140,12 @@ class EdgeFinder:
     def _compare(self, values: dict[str, object]) -> list[Edge]:
         edges = []
         for key, after in values.items():
+            first = key not in self._known
             before = self._known.get(key)
-            if after is None or after == before:
-                continue
             self._known[key] = after
+            if after == before:
+                continue
             kind = _RULES[key](before, after)
-            if kind is not None:
+            if kind is not None and (not first or kind in _AT_FIRST_SIGHT):
                 edges.append(Edge(kind, key, before, after))
         return edges

@@ -10,7 +10,7 @@ import anyio
 import msgspec
 import structlog
 
-from gateway.api.decoder import Decoder, Event, Frame
+from gateway.api.decoder import Decoder, Event, Frame, Refused
 from gateway.api.layout import Layout
 from gateway.api.model import GROUPS, EventKind, LinkState, Quality, Sample
 from gateway.api.model import Link as LinkData
@@ -20,6 +20,7 @@ from gateway.core.bus import Bus, Origin, Topic, ValueReading
 from gateway.core.clock import Clock, Timeline
 from gateway.core.controller_clock import ControllerClock
 from gateway.core.counters import LinkCounters
+from gateway.core.kept import KeptDecoder
 from gateway.core.publisher import Publisher
 from gateway.core.repeats import Repeats
 from gateway.core.session import Session
@@ -28,6 +29,8 @@ from gateway.core.transport import Connector
 from gateway.errors import LinkClosed, LinkError, LinkRefused, LinkStale
 
 _LOG = structlog.get_logger()
+# A session that was online for so long makes the next delays short again: a link that flaps does not flood the events.
+STEADY_S = 1.0
 _REFUSED_STATES = {"incompatible": LinkState.INCOMPATIBLE, "refused": LinkState.REFUSED}
 
 
@@ -72,6 +75,8 @@ class Link:
         self._boot = secrets.token_hex(4)
         self._first_frame = True
         self._repeats = Repeats()
+        self._kept: KeptDecoder | None = None
+        self._online_s = 0.0
         self._outcome = LinkState.DISCONNECTED  # how the last attempt went
         self._data = LinkData(
             state=LinkState.DISCONNECTED,
@@ -95,7 +100,7 @@ class Link:
 
     async def _attempt(self) -> float:
         """Connect once and run the session; return the delay before the next attempt."""
-        self._enter(LinkState.CONNECTING, None, attempts=self._data.attempts + 1, next_attempt=None)
+        self._enter(LinkState.CONNECTING, self._data.reason, attempts=self._data.attempts + 1, next_attempt=None)
         try:
             await self._connect_and_run()
         except LinkRefused as error:
@@ -106,8 +111,9 @@ class Link:
         except LinkError as error:
             notes = [self._robot.protocol.when_refused] if isinstance(error, LinkClosed) and error.refused else []
             return self._lost(LinkState.DISCONNECTED, error.reason, notes=notes)
-        except Exception as error:  # noqa: BLE001 - the one place that catches what nobody expected
-            self._log.exception("link.faulted", reason=repr(error))
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - the one place that catches what nobody expected
+            if self._repeats.loss("faulted", self._clock.monotonic()) is not None:
+                self._log.exception("link.faulted", reason=repr(error))
             return self._lost(LinkState.FAULTED, f"internal error, see the log: {error!r}", REFUSED_S)
         raise AssertionError("a session ends with an exception")
 
@@ -120,7 +126,9 @@ class Link:
             self._enter(LinkState.HANDSHAKING, "connected, waiting for the first frame", layout=None, notes=[])
             self._counters.begin()
             self._first_frame = True
-            self._decoder = self._new_decoder()
+            decoder = self._new_decoder()
+            self._kept = KeptDecoder(decoder) if robot.protocol.on_stale == "keep" else None
+            self._decoder = self._kept or decoder
             session = Session(
                 connection,
                 self._decoder,
@@ -144,19 +152,35 @@ class Link:
             if type(event) is Frame:
                 if self._first_frame:
                     self._online(event)
-                self._publisher.frame(event, at_s)
+                self._publish(event, at_s)
+        trouble = self._kept.trouble if self._kept is not None else None
+        if trouble is not None and self._data.reason != trouble.reason:
+            self._off_but_open(_REFUSED_STATES.get(trouble.kind, LinkState.STALE), trouble.reason)
 
     def silent(self, reason: str) -> None:
         """Take that a kept session is stale; see `gateway.core.session.Sink`."""
-        self._announce_loss(LinkState.STALE, reason)
-        self._enter(LinkState.STALE, reason, last_error=reason)
+        self._off_but_open(LinkState.STALE, reason)
+
+    def _publish(self, frame: Frame, at_s: float) -> None:
+        try:
+            self._publisher.frame(frame, at_s)
+        except (Exception, SystemExit) as error:
+            if self._kept is None:
+                raise
+            self._kept.trouble = Refused(f"the plugin failed: {error!r}", "refused")
+
+    def _off_but_open(self, state: LinkState, reason: str) -> None:
+        """Say that a session that is kept gives nothing: the next good frame makes the link online again."""
+        self._announce_loss(state, reason)
+        self._enter(state, reason, last_error=reason, reached_hz=None)
+        self._counters.reached_hz = None
         self._first_frame = True
 
     def _online(self, frame: Frame) -> None:
         """The first good frame of a session, or after a silence."""
         self._first_frame = False
         self._outcome = LinkState.ONLINE
-        self._delays = self._new_delays()
+        self._online_s = self._clock.monotonic()
         before = self._data.state
         behind = self._robot.protocol.framing.behind
         extra = len(frame.raw) - frame.start - frame.layout.size - behind if frame.quality is Quality.UNCERTAIN else 0
@@ -180,6 +204,8 @@ class Link:
 
     def _lost(self, state: LinkState, reason: str, delay_s: float | None = None, notes: Sequence[str] = ()) -> float:
         """Say that the session is lost, or that there was none, and when the next attempt is due."""
+        if self._data.state is LinkState.ONLINE and self._clock.monotonic() - self._online_s >= STEADY_S:
+            self._delays = self._new_delays()
         if delay_s is None:
             delay_s = next(self._delays)
         self._announce_loss(state, reason)
@@ -215,19 +241,31 @@ class Link:
 
     def _begin_epoch(self) -> None:
         self._epochs += 1
-        self._timeline = Timeline(self._clock)
         self._publisher.begin(f"{self._boot}.{self._epochs}", self._timeline)
 
     async def _count_every_second(self) -> None:
         while True:
             await anyio.sleep(1)
-            if self._timeline.follow():
-                self._begin_epoch()
+            self._follow_clock()
             publisher = self._publisher
             stats = self._counters.second(self._clock.monotonic(), publisher.bad_values, publisher.clock_offset_s())
             self._own["link_stats"].publish(stats, self._timeline.now())
             if self._data.state is LinkState.ONLINE:
                 self._say_what_changed()
+
+    def _follow_clock(self) -> None:
+        """Follow a wall clock that was set: what was said in its old time is said in the new one."""
+        jump_us = self._timeline.follow()
+        if not jump_us:
+            return
+        if jump_us < 0:
+            self._begin_epoch()
+            for topic in self._own.values():
+                topic.begin_epoch()
+        due = self._data.next_attempt
+        moved = None if due is None else due + jump_us
+        self._data = msgspec.structs.replace(self._data, since=self._data.since + jump_us, next_attempt=moved)
+        self._say()
 
     def _say_what_changed(self) -> None:
         """Publish what may change while the link is online."""
@@ -241,7 +279,8 @@ class Link:
             self._say()
 
     def _enter(self, state: LinkState, reason: str | None, **changes: object) -> None:
-        since = self._data.since if state is self._data.state else self._timeline.now()
+        same = (state is LinkState.ONLINE) == (self._data.state is LinkState.ONLINE)
+        since = self._data.since if same else self._timeline.now()
         self._data = msgspec.structs.replace(self._data, state=state, reason=reason, since=since, **changes)
         self._say()
 
@@ -260,6 +299,10 @@ class _OwnTopic:
         self._topic = topic
         self._bus = bus
         self._origin: Origin = origin
+        self.begin_epoch()
+
+    def begin_epoch(self) -> None:
+        """Begin anew: time has gone back."""
         self._epoch = secrets.token_hex(4)
         self._seq = 0
 

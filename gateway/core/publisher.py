@@ -10,7 +10,7 @@ import structlog
 from gateway.api.compiler import Reader, raw_values
 from gateway.api.decoder import Frame
 from gateway.api.layout import Layout
-from gateway.api.model import GROUPS, Quality, Safety, Sample, Status
+from gateway.api.model import GROUPS, Fault, Quality, Safety, Sample, Status
 from gateway.api.normaliser import Normaliser
 from gateway.core.bus import Bus, FrameReading, FrameStream, Origin, Topic, ValueReading
 from gateway.core.clock import Timeline
@@ -113,6 +113,7 @@ class Publisher:
             for listener in topic.listeners:
                 listener.on_reading(topic, reading)
         for state in self._states:
+            state.topic.latest = reading  # whoever asks gets the newest; listeners are told of changes only
             key = state.reader.key(frame.raw, frame.start)
             if key != state.key:
                 state.key = key
@@ -147,7 +148,14 @@ class Publisher:
         self._layout = frame.layout
         t_src = self._clock.utc_us if self._clock is not None and self._clock.zone_is_known else None
         self._stream = FrameStream(
-            self._epoch, readers, frame.quality, self._origin, self._count_bad, self._report_broken, t_src
+            self._epoch,
+            readers,
+            frame.quality,
+            self._origin,
+            self._count_bad,
+            self._report_broken,
+            self._edges.stamped,
+            t_src,
         )
         topics = {group: topic for group, topic in self._topics.items() if group in readers}
         self._samples = [topic for topic in topics.values() if topic.group.delivery == "sample"]
@@ -180,14 +188,14 @@ class Publisher:
     def _raise(self, edge: Edge, reading: FrameReading) -> None:
         frame = reading.frame
         raw = raw_values(frame.layout, frame.raw, frame.start, self._normaliser.sources(edge.key))
-        if edge.key == "status.faults":  # of the many words that faults follow from, those that say something
-            raw = {name: value for name, value in raw.items() if value and value != [0] * 6}
+        if edge.key == "status.faults":
+            raw = _of_fault(raw, edge.before if edge.after is None else edge.after)
         self._bus.raise_event(self._events, reading.t, edge.kind, edge.before, edge.after, raw)
 
     def _count_bad(self) -> None:
         self.bad_values += 1
 
-    def _report_broken(self, group: str, error: Exception) -> None:
+    def _report_broken(self, group: str, error: BaseException) -> None:
         """Log a plugin's mistake once a group; the group is null with q BAD, and counted, for as long as it lasts."""
         if group not in self._broken:
             self._broken.add(group)
@@ -195,6 +203,17 @@ class Publisher:
 
     def _empty_vendor(self) -> object:
         return self._normaliser.readers(self._layout)["vendor"].empty if self._layout else {}
+
+
+def _of_fault(raw: dict[str, object], fault: object) -> dict[str, object]:
+    """Of the many words that faults follow from, those of one: by its name, or else those that say something."""
+    code = fault.code if isinstance(fault, Fault) else ""
+    named = {source: value for source, value in raw.items() if code in source.split(".")}
+    return named or {source: value for source, value in raw.items() if any(_words(value))}
+
+
+def _words(value: object) -> list[object]:
+    return value if isinstance(value, list) else [value]
 
 
 def _without(data: object, path: tuple[str, ...]) -> object:

@@ -22,7 +22,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gateway.api.vendor import Protocol, Vendor
+import msgspec
+
+from gateway.api.normaliser import Normaliser
+from gateway.api.vendor import ROBOT_OPTIONS, Protocol, Vendor
 from gateway.errors import ConfigError, UnknownVendor, VendorError
 
 if TYPE_CHECKING:
@@ -121,7 +124,7 @@ class Registry:
         return self._place(name).source
 
     def simulator(self, name: str) -> object:
-        """Load the plugin's virtual controller: the `SIMULATOR` of its module `simulator`.
+        """Load the plugin's virtual controller: the `SIMULATOR` of its module or package `simulator`.
 
         Raises:
             UnknownVendor: There is none of that name.
@@ -129,7 +132,8 @@ class Registry:
         """
         self.vendor(name)
         place = self._place(name)
-        if not (self.folder(name) / "simulator.py").is_file():
+        folder = self.folder(name)
+        if not any((folder / file).is_file() for file in ("simulator.py", "simulator/__init__.py")):
             raise VendorError(name, "has no virtual controller: there is no simulator.py in its folder")
         with _as_vendor_error(name, place), _no_bytecode(place):
             module = importlib.import_module(f"{place.module}.simulator")
@@ -153,7 +157,7 @@ class Registry:
             raise VendorError(name, f"found more than once: {' and '.join(map(str, places))}; remove all but one")
         place = places[0]
         with _as_vendor_error(name, place), _no_bytecode(place):
-            return _exported(name, _import(name, place))
+            return _tried(name, _exported(name, _import(name, place)))
 
 
 def unsafe(path: Path) -> list[str]:
@@ -259,6 +263,18 @@ def _exported(name: str, module: ModuleType) -> Vendor:
     else:
         return vendor
     raise VendorError(name, f"{fault} ({module.__file__})")
+
+
+def _tried(name: str, vendor: Vendor) -> Vendor:
+    """A plugin whose rows fit its longest table: what cannot work is found here, not in the middle of a shift."""
+    for protocol in vendor.protocols:
+        try:
+            options = {**dict.fromkeys(ROBOT_OPTIONS), **msgspec.structs.asdict(protocol.options())}
+            longest = max(protocol.layouts, key=lambda layout: layout.size)
+            Normaliser(protocol.signals, options).readers(longest)
+        except (Exception, SystemExit) as error:
+            raise VendorError(name, f"its protocol {_quote(protocol.name)} cannot work: {error}") from error
+    return vendor
 
 
 @contextlib.contextmanager

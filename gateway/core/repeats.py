@@ -1,20 +1,25 @@
-"""What is worth a log line: a fault that repeats is said once a minute, with how often it was left out."""
+"""What is worth a log line: each kind of loss is said once a minute, with how often it was left out."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 QUIET_S = 60.0
+
+
+@dataclass(slots=True)
+class _Kind:
+    said_s: float = -math.inf
+    left_out: int = 0
 
 
 class Repeats:
     """Decides for one link whether a loss is logged; its recovery is logged exactly when the loss was."""
 
     def __init__(self) -> None:
-        self._said: object = None
-        self._said_s = -math.inf
-        self._left_out = 0
-        self._open = False
+        self._kinds: dict[object, _Kind] = {}
+        self._open = True
 
     def loss(self, what: object, now_s: float) -> int | None:
         """Take a loss.
@@ -26,15 +31,15 @@ class Repeats:
         Returns:
             How many like it were left out since the last line; None where this one is left out too.
         """
-        if what == self._said and now_s - self._said_s < QUIET_S:
-            self._left_out += 1
+        kind = self._kinds.setdefault(what, _Kind())
+        if now_s - kind.said_s < QUIET_S:
+            kind.left_out += 1
             return None
-        left_out, self._left_out = self._left_out, 0
-        self._said, self._said_s, self._open = what, now_s, True
+        left_out, kind.left_out, kind.said_s = kind.left_out, 0, now_s
+        self._open = True
         return left_out
 
     def recovery(self) -> bool:
-        """Take a recovery; whether it is logged: after a loss that was, and the first time."""
-        first = self._said is None
+        """Take a recovery; whether it is logged: the first one, and each after a loss that was."""
         was_open, self._open = self._open, False
-        return was_open or first
+        return was_open

@@ -101,11 +101,9 @@ class Session:
         while True:
             with anyio.CancelScope(deadline=deadline_s(stale_at_s)) as watchdog:
                 await self._read_under(watchdog)
-            reason = self._silence()
             if self._on_stale == "close":
-                reason = self._silence(self._decoder.end())
-                raise LinkStale(reason)
-            self._sink.silent(reason)
+                raise LinkStale(self._silence(self._decoder.end()))
+            self._sink.silent(self._silence())
             stale_at_s = math.inf
 
     async def _read_under(self, watchdog: anyio.CancelScope) -> None:
@@ -115,7 +113,7 @@ class Session:
         while True:
             data = await self._connection.receive()
             at_s = self._now()
-            events = self._decoded(data)
+            events: Sequence[Event] = self._decoder.feed(data)
             if datagrams:
                 events = [*events, *self._decoder.end()]
             self._note(len(data), events, at_s, self._now() - at_s)
@@ -129,15 +127,6 @@ class Session:
             if owed or self._overdue:
                 self._owed.append(owed)
                 self._wake.set()
-
-    def _decoded(self, data: bytes) -> Sequence[Event]:
-        """What the decoder makes of the bytes; its mistake ends a session, but never one that must not be dropped."""
-        try:
-            return self._decoder.feed(data)
-        except Exception as error:
-            if self._on_stale == "close":
-                raise
-            return [Reject(data, "plugin", f"the decoder raised {error!r}")]
 
     async def _ask(self) -> None:
         """Send what the decoder owes: at once what it answers, at the period what it asks. The only sender."""
@@ -182,6 +171,8 @@ class Session:
             return f"no good frame for {self._stale_s:g} s"
         if not self._n_bytes:
             return f"connected, but not one byte came within {self._first_s:g} s"
+        if not self._decoder.ready:
+            return f"connected, {self._n_bytes} bytes came, but the handshake was not finished"
         reject = self._last_reject
         why = f"; last reject: {reject.reason}{f' ({reject.detail})' if reject.detail else ''}" if reject else ""
         return f"connected, {self._n_bytes} bytes came, but no good frame{why}"

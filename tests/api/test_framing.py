@@ -11,9 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.api.decoder import Event, Frame, Refused, Reject, Skipped
-from gateway.api.framing import Checksum, FramedDecoder, Framing, Kind, Polled
+from gateway.api.framing import Checksum, FramedDecoder, Framing, Kind
 from gateway.api.layout import Field, Layout
 from gateway.api.model import Quality
+from gateway.api.polling import Polled
 
 STATE = Layout(name="state", size=4, source="x", byteorder=">", fields=(Field(name="a", offset=0, type="u32"),))
 SEALED = Framing(

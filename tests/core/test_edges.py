@@ -12,9 +12,29 @@ def status_kinds(finder: EdgeFinder, status: Status) -> list[str]:
     return kinds(finder.observe_status(status, 1)[1])
 
 
-def test_a_first_resting_state_is_no_edge_but_what_it_says_of_power_and_mode_is() -> None:
-    first = Status(operating_mode=OperatingMode.MANUAL, power=Power.ENABLED, motion=Motion.STANDSTILL, e_stopped=False)
-    assert status_kinds(EdgeFinder(), first) == ["mode.changed", "power.changed"]
+def test_the_first_values_ever_seen_are_no_edges() -> None:
+    running = Program(state=ProgramState.RUNNING)
+    first = Status(operating_mode=OperatingMode.MANUAL, power=Power.ENABLED, motion=Motion.MOVING, program=running)
+    assert status_kinds(EdgeFinder(), first) == []
+
+
+def test_a_pressed_stop_and_a_collision_are_told_at_first_sight() -> None:
+    assert status_kinds(EdgeFinder(), Status(e_stopped=True)) == ["estop.pressed"]
+    assert kinds(EdgeFinder().observe_safety(Safety(collision=True))) == ["collision.detected"]
+
+
+def test_every_change_of_power_and_mode_is_an_edge() -> None:
+    finder = EdgeFinder()
+    finder.observe_status(Status(operating_mode=OperatingMode.MANUAL, power=Power.OFF), 1)
+    changed = Status(operating_mode=OperatingMode.AUTOMATIC, power=Power.ENABLED)
+    assert status_kinds(finder, changed) == ["mode.changed", "power.changed"]
+
+
+def test_a_safety_state_that_is_null_between_two_stops_gives_an_edge_each_way() -> None:
+    finder = EdgeFinder()
+    states = [None, SafetyState.PROTECTIVE_STOP, None, SafetyState.PROTECTIVE_STOP]
+    found = [kinds(finder.observe_safety(Safety(state=state))) for state in states]
+    assert found == [[], ["safety.changed"], ["safety.changed"], ["safety.changed"]]
 
 
 def test_motion_starts_and_stops() -> None:
@@ -58,15 +78,16 @@ def test_what_changed_while_nobody_could_see_it_is_an_edge_when_it_is_seen_again
 
 def test_collisions_with_others_and_with_itself_are_detected_and_cleared() -> None:
     finder = EdgeFinder()
-    calm = Safety(collision=False, self_collision=False)
+    calm = Safety(collision=False, self_collision=False, state=SafetyState.NORMAL)
     assert kinds(finder.observe_safety(calm)) == []
     hit = finder.observe_safety(Safety(collision=True, self_collision=False, state=SafetyState.PROTECTIVE_STOP))
     assert [(edge.kind.value, edge.key) for edge in hit] == [
         ("safety.changed", "safety.state"),
         ("collision.detected", "safety.collision"),
     ]
-    assert kinds(finder.observe_safety(calm)) == ["collision.cleared"]
-    assert kinds(finder.observe_safety(Safety(self_collision=True))) == ["collision.detected"]
+    assert kinds(finder.observe_safety(calm)) == ["safety.changed", "collision.cleared"]
+    again = Safety(collision=False, self_collision=True, state=SafetyState.NORMAL)
+    assert kinds(finder.observe_safety(again)) == ["collision.detected"]
 
 
 def test_a_fault_keeps_the_time_it_was_first_seen_and_is_raised_and_cleared_once() -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Awaitable, Callable
 from typing import cast
 
@@ -7,7 +8,10 @@ import anyio
 import pytest
 from structlog.testing import capture_logs
 
-from gateway.api.model import Event, LinkStats, Sample
+from gateway.api.decoder import Event as Decoded
+from gateway.api.decoder import Refused
+from gateway.api.framing import FramedDecoder
+from gateway.api.model import Event, LinkStats, Sample, Status
 from gateway.api.model import Link as LinkData
 from gateway.core.backoff import no_waiting
 from gateway.core.bus import Bus, Reading, Topic
@@ -250,3 +254,83 @@ def test_a_robot_whose_plugin_is_broken_is_shown_faulted_with_the_reason() -> No
         assert link_of(bus).reason == "vendor v: cannot be imported"
 
     run_jumping(main)
+
+
+def test_a_link_that_is_off_says_since_when_and_why_through_all_its_retries() -> None:
+    async def main() -> None:
+        bus = Bus(EventRing())
+        clock = LoopClock()
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(Link(toy.settings(), FakeConnector(), bus, clock).run)
+            await anyio.sleep(0.1)
+            since = link_of(bus).since
+            await anyio.sleep(60)
+            assert link_of(bus).since == since
+            assert link_of(bus).reason == "connection refused"
+            tasks.cancel_scope.cancel()
+
+    run_jumping(main)
+
+
+def test_a_clock_set_back_renews_the_epochs_of_the_links_own_topics_and_moves_since() -> None:
+    async def look(bus: Bus, inbox: Inbox, clock: LoopClock) -> None:
+        await anyio.sleep(2.5)
+        since = link_of(bus).since
+        clock.set_by_us = -3_600_000_000
+        await anyio.sleep(2)
+        for group in ("link", "link_stats"):
+            for epoch in {sample.epoch for sample in inbox.of(group)}:
+                times = [sample.t for sample in inbox.of(group) if sample.epoch == epoch]
+                assert times == sorted(times)
+        assert link_of(bus).since == since - 3_600_000_000
+
+    while_running(FakeConnector(FakeConnection(good)), look)
+
+
+def test_whoever_asks_for_state_gets_the_newest_frame_although_nothing_was_published() -> None:
+    count = iter(range(1000))
+
+    async def look(bus: Bus, inbox: Inbox, _: LoopClock) -> None:
+        await anyio.sleep(5.05)
+        program = cast("Status", latest(bus, "r1/status").data).program
+        assert program is not None
+        assert program.run_time == 50
+        assert len(inbox.of("status")) == 1
+
+    while_running(FakeConnector(FakeConnection(lambda _: (toy.frame(run_time=next(count)),))), look)
+
+
+def test_a_link_that_flaps_backs_off_and_one_that_was_steady_does_not() -> None:
+    async def main() -> None:
+        connector = FakeConnector(*(FakeConnection(lambda _: (toy.frame() + toy.frame(),)) for _ in range(100)))
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(Link(toy.settings(), connector, Bus(EventRing()), LoopClock()).run)
+            await anyio.sleep(60)
+            tasks.cancel_scope.cancel()
+        assert len(connector.attempts_s) < 25
+
+    run_jumping(main)
+
+
+def test_a_kept_session_that_is_refused_stays_open_and_says_so() -> None:
+    class Picky(FramedDecoder):
+        def feed(self, data: bytes) -> list[Decoded]:
+            return [Refused("900 bytes, known is 20", "incompatible")] if data == b"strange" else super().feed(data)
+
+    robot = toy.settings(pushed=True, on_stale="keep")
+    protocol = dataclasses.replace(robot.protocol, make_decoders=lambda _: lambda: Picky(toy.FRAMING))
+    connection = FakeConnection()
+
+    async def look(bus: Bus, inbox: Inbox, _: LoopClock) -> None:
+        await anyio.sleep(0.1)
+        connection.push(toy.frame())
+        connection.push(b"strange")
+        await anyio.sleep(0.1)
+        assert (link_of(bus).state, link_of(bus).reason) == ("INCOMPATIBLE", "900 bytes, known is 20")
+        assert "link.incompatible" in inbox.kinds
+        connection.push(toy.frame())
+        await anyio.sleep(0.1)
+        assert link_of(bus).state == "ONLINE"
+        assert not connection.closed
+
+    while_running(FakeConnector(connection), look, dataclasses.replace(robot, protocol=protocol))

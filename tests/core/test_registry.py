@@ -259,3 +259,20 @@ def test_naming_the_plugin_itself_instead_of_its_folder_is_explained(tmp_path: P
     folder = kilo(tmp_path)
     with pytest.raises(ConfigError, match=f"is itself a plugin; name the folder that it stands in, {folder.resolve()}"):
         Registry([folder / "kilo"])
+
+
+@pytest.mark.parametrize(
+    ("wrong", "hint"),
+    [
+        ('signals=("x",)', "cannot work"),
+        ('signals=(Signal("joints.positon", "jnt_ang"),)', "joints.positon"),
+        ('signals=(Signal("joints.position", "jnt_angle"),)', "jnt_angle"),
+        ('signals=(Signal("joints.position", "jnt_cur"),)', "unit 'A'"),
+        ("signals=(), options=None", "cannot work"),
+    ],
+)
+def test_a_plugin_whose_rows_cannot_work_is_broken_from_the_start(tmp_path: Path, wrong: str, hint: str) -> None:
+    text = "from gateway.api.signals import Signal\n" + PLUGIN.format(name="kilo").replace("signals=()", wrong)
+    write(tmp_path / "dir" / "kilo", text)
+    with pytest.raises(VendorError, match=hint):
+        Registry([tmp_path / "dir"]).vendor("kilo")

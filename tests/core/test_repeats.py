@@ -15,6 +15,12 @@ def test_another_loss_is_said_at_once() -> None:
     assert repeats.loss("refused", 1.0) == 0
 
 
+def test_losses_that_take_turns_are_each_said_once_a_minute() -> None:
+    repeats = Repeats()
+    said = [repeats.loss(what, second) for second, what in enumerate(["stale", "refused"] * 10)]
+    assert said == [0, 0] + [None] * 18
+
+
 def test_a_recovery_is_said_when_its_loss_was() -> None:
     repeats = Repeats()
     assert repeats.recovery()

@@ -6,7 +6,6 @@ import anyio
 import pytest
 
 from gateway.api.decoder import Event, Frame, Reject, Skipped
-from gateway.api.framing import FramedDecoder
 from gateway.api.vendor import OnStale
 from gateway.core.session import Session
 from gateway.errors import LinkClosed, LinkError, LinkRefused, LinkStale
@@ -176,35 +175,3 @@ def test_good_frames_keep_moving_the_deadline_on() -> None:
 
     run_jumping(main)
     assert len(log.frames_s) == 50
-
-
-def test_a_decoders_mistake_ends_a_session_but_never_one_that_must_be_kept() -> None:
-    class Broken(FramedDecoder):
-        def feed(self, data: bytes) -> list[Event]:
-            if data == b"poison":
-                raise ZeroDivisionError
-            return super().feed(data)
-
-    def run(on_stale: OnStale) -> Log:
-        log = Log()
-
-        async def main() -> None:
-            connection = FakeConnection()
-            one = session(connection, log, pushed=True, on_stale=on_stale)
-            one._decoder = Broken(toy.FRAMING)
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(one.run)
-                connection.push(b"poison")
-                connection.push(toy.frame())
-                await anyio.sleep(0.5)
-                tasks.cancel_scope.cancel()
-
-        run_jumping(main)
-        return log
-
-    log = run("keep")
-    assert [event.reason for event in log.events if isinstance(event, Reject)] == ["plugin"]
-    assert len(log.frames_s) == 1
-    with pytest.raises(ExceptionGroup) as caught:
-        run("close")
-    assert isinstance(caught.value.exceptions[0], ZeroDivisionError)
