@@ -233,7 +233,8 @@ class FramedDecoder:
         if sizes is None:
             return "type", f"type {type_}, known are {', '.join(str(known) for known in self._kinds)}"
         if not sizes.allow(total):
-            return "size", f"{sizes.kind.name} of {total} bytes, known are {sizes}"
+            header = buffer[at : at + framing.header].hex(" ")
+            return "size", f"{sizes.kind.name} of {total} bytes (header {header}), known are {sizes}"
         if sizes.longest and self._length not in {None, total}:
             return "length", f"{sizes.kind.name} of {total} bytes in a session of {self._length} bytes"
         if len(buffer) - at < total:

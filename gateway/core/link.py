@@ -10,7 +10,7 @@ import anyio
 import msgspec
 import structlog
 
-from gateway.api.decoder import Decoder, Event, Frame, Refused
+from gateway.api.decoder import Decoder, Event, Frame, Refused, RefusedKind
 from gateway.api.layout import Layout
 from gateway.api.model import GROUPS, EventKind, LinkState, Quality, Sample
 from gateway.api.model import Link as LinkData
@@ -31,7 +31,7 @@ from gateway.errors import LinkClosed, LinkError, LinkRefused, LinkStale
 _LOG = structlog.get_logger()
 # A session that was online for so long makes the next delays short again: a link that flaps does not flood the events.
 STEADY_S = 1.0
-_REFUSED_STATES = {"incompatible": LinkState.INCOMPATIBLE, "refused": LinkState.REFUSED}
+_REFUSED_STATES: dict[str | None, LinkState] = {"incompatible": LinkState.INCOMPATIBLE, "refused": LinkState.REFUSED}
 
 
 class Link:
@@ -157,9 +157,9 @@ class Link:
         if trouble is not None and self._data.reason != trouble.reason:
             self._off_but_open(_REFUSED_STATES.get(trouble.kind, LinkState.STALE), trouble.reason)
 
-    def silent(self, reason: str) -> None:
+    def silent(self, reason: str, kind: RefusedKind | None) -> None:
         """Take that a kept session is stale; see `gateway.core.session.Sink`."""
-        self._off_but_open(LinkState.STALE, reason)
+        self._off_but_open(_REFUSED_STATES.get(kind, LinkState.STALE), reason)
 
     def _publish(self, frame: Frame, at_s: float) -> None:
         try:

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import anyio
 
-from gateway.api.decoder import Decoder, Event, Frame, Refused, Reject
+from gateway.api.decoder import Decoder, Event, Frame, Refused, RefusedKind, Reject
 from gateway.api.vendor import OnStale
 from gateway.core.clock import Clock, deadline_s
 from gateway.core.transport import Connection
@@ -28,8 +28,8 @@ class Sink(Protocol):
         """Bytes were received and decoded, at a monotonic time in s."""
         ...
 
-    def silent(self, reason: str) -> None:
-        """No good frame came within `stale_s`, and the session is kept."""
+    def silent(self, reason: str, kind: RefusedKind | None) -> None:
+        """No good frame came within `stale_s`, and the session is kept; `kind`: why none ever will."""
         ...
 
 
@@ -75,6 +75,7 @@ class Session:
         self._overdue = False  # the decoder had nothing to ask when it was due: it waits for an answer
         self._n_bytes = self._n_frames = 0
         self._last_reject: Reject | None = None
+        self._misfit: Reject | None = None  # a frame that no layout explains, in a session without a good one
 
     async def run(self) -> None:
         """Read and ask until the session is lost; never returns.
@@ -101,9 +102,12 @@ class Session:
         while True:
             with anyio.CancelScope(deadline=deadline_s(stale_at_s)) as watchdog:
                 await self._read_under(watchdog)
-            if self._on_stale == "close":
+            if self._on_stale == "keep":
+                self._sink.silent(self._silence(), "incompatible" if self._misfit else None)
+            elif self._misfit:
+                raise LinkRefused(self._silence(self._decoder.end()), "incompatible")
+            else:
                 raise LinkStale(self._silence(self._decoder.end()))
-            self._sink.silent(self._silence())
             stale_at_s = math.inf
 
     async def _read_under(self, watchdog: anyio.CancelScope) -> None:
@@ -159,8 +163,11 @@ class Session:
         for event in events:
             if type(event) is Frame:
                 self._n_frames += 1
+                self._misfit = None
             elif type(event) is Reject:
                 self._last_reject = event
+                if event.reason == "size" and not self._n_frames:
+                    self._misfit = event
         self._sink.received(n_bytes, events, at_s, decode_s)
 
     def _silence(self, left: Sequence[Reject] = ()) -> str:
@@ -173,7 +180,7 @@ class Session:
             return f"connected, but not one byte came within {self._first_s:g} s"
         if not self._decoder.ready:
             return f"connected, {self._n_bytes} bytes came, but the handshake was not finished"
-        reject = self._last_reject
+        reject = self._misfit or self._last_reject
         why = f"; last reject: {reject.reason}{f' ({reject.detail})' if reject.detail else ''}" if reject else ""
         return f"connected, {self._n_bytes} bytes came, but no good frame{why}"
 

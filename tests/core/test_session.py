@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 import anyio
 import pytest
 
-from gateway.api.decoder import Event, Frame, Reject, Skipped
+from gateway.api.decoder import Event, Frame, RefusedKind, Reject, Skipped
 from gateway.api.vendor import OnStale
 from gateway.core.session import Session
 from gateway.errors import LinkClosed, LinkError, LinkRefused, LinkStale
@@ -27,8 +27,8 @@ class Log:
         self.events += events
         self.frames_s += [at_s for event in events if isinstance(event, Frame)]
 
-    def silent(self, reason: str) -> None:
-        self.silences.append(reason)
+    def silent(self, reason: str, kind: RefusedKind | None) -> None:
+        self.silences.append(reason if kind is None else f"{kind}: {reason}")
 
 
 def session(connection: FakeConnection, log: Log, *, pushed: bool = False, on_stale: OnStale = "close") -> Session:
@@ -175,3 +175,27 @@ def test_good_frames_keep_moving_the_deadline_on() -> None:
 
     run_jumping(main)
     assert len(log.frames_s) == 50
+
+
+def test_frames_that_no_layout_explains_are_incompatible_and_named_with_size_and_header() -> None:
+    error, _, _ = answering(lambda _: (b"$\x0c\x00\x03" + bytes(12),))
+    assert isinstance(error, LinkRefused)
+    assert error.kind == "incompatible"
+    assert "state of 16 bytes (header 24 0c 00 03), known are 20 or more" in error.reason
+
+
+def test_a_kept_session_of_such_frames_stays_open() -> None:
+    log = Log()
+
+    async def main() -> None:
+        connection = FakeConnection()
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(session(connection, log, pushed=True, on_stale="keep").run)
+            connection.push(b"$\x0c\x00\x03" + bytes(12))
+            await anyio.sleep(3)
+            assert not connection.closed
+            tasks.cancel_scope.cancel()
+
+    run_jumping(main)
+    (silence,) = log.silences
+    assert silence.startswith("incompatible: connected, 16 bytes came, but no good frame; last reject: size")

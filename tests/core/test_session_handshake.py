@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 import anyio
 import pytest
 
-from gateway.api.decoder import Event, Frame, Refused, Reject
+from gateway.api.decoder import Event, Frame, Refused, RefusedKind, Reject
 from gateway.api.framing import FramedDecoder
 from gateway.core.session import Session
 from gateway.errors import LinkError, LinkStale
@@ -47,7 +47,7 @@ class Log:
         assert min(n_bytes, at_s, decode_s) >= 0
         self.events += events
 
-    def silent(self, reason: str) -> None:
+    def silent(self, reason: str, kind: RefusedKind | None) -> None:
         raise AssertionError(reason)
 
 

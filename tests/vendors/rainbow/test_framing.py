@@ -2,7 +2,9 @@ from __future__ import annotations
 
 import struct
 
-from gateway.api.decoder import Event, Frame
+import pytest
+
+from gateway.api.decoder import Event, Frame, Reject
 from vendors.rainbow import VENDOR
 
 
@@ -33,4 +35,15 @@ def test_a_session_takes_only_the_length_of_its_first_good_frame() -> None:
 
 def test_a_size_that_nobody_knows_is_named_in_the_reject() -> None:
     (event,) = decoded(frame(500))
-    assert "state of 500 bytes, known are 464, 484, 488, 512, 580 or more" in str(event.detail)  # type: ignore[union-attr]
+    assert "state of 500 bytes (header 24 f0 01 03), known are 464, 484, 488, 512, 580 or more" in str(event.detail)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("more", [1, 2, 3])
+def test_a_size_that_is_no_whole_number_of_words_is_rejected_and_the_next_frame_is_found(more: int) -> None:
+    events = decoded(frame(580 + more) + frame(580))
+    first, last = events[0], events[-1]
+    assert isinstance(first, Reject)
+    assert (first.reason, str(first.detail).split(",")[0]) == ("size", f"state of {580 + more} bytes")
+    assert isinstance(last, Frame)
+    assert len(last.raw) == 580
+    assert sum(isinstance(event, Frame) for event in events) == 1
