@@ -12,7 +12,7 @@ from enum import Enum
 import anyio
 import msgspec
 
-from gateway.api.decoder import Decoder, Event, Frame, Skipped
+from gateway.api.decoder import Decoder, Event, Frame, RefusedKind, Skipped
 from gateway.api.vendor import Protocol, Transport, Vendor
 from gateway.core.clock import SystemClock
 from gateway.core.session import Session
@@ -176,5 +176,5 @@ class _Heard:
                 self.answer = f"{len(event.raw)} bytes came: {shown}"
                 self.scope.cancel()
 
-    def silent(self, reason: str) -> None:
+    def silent(self, reason: str, kind: RefusedKind | None) -> None:
         """Nothing is kept: a silent session ends."""

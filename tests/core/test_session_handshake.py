@@ -48,7 +48,7 @@ class Log:
         self.events += events
 
     def silent(self, reason: str, kind: RefusedKind | None) -> None:
-        raise AssertionError(reason)
+        raise AssertionError((reason, kind))
 
 
 def run(

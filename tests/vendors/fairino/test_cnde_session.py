@@ -6,7 +6,7 @@ from dataclasses import replace
 import anyio
 import pytest
 
-from gateway.api.decoder import Event, Frame
+from gateway.api.decoder import Event, Frame, RefusedKind
 from gateway.api.model import Link as LinkData
 from gateway.api.model import LinkState
 from gateway.core.bus import Bus
@@ -21,9 +21,9 @@ from tests.vendors.fairino.cnde_kit import virtual
 from vendors.fairino import VENDOR
 from vendors.fairino.cnde import CndeOptions, make_decoders
 from vendors.fairino.cnde_protocol import CNDE
-from vendors.fairino.cnde_simulator import CndeBehaviour, CndeSession
 from vendors.fairino.cnde_states import ALL_STATES
 from vendors.fairino.cnde_wire import CONFIGURE, START, STOP, configuration, frame
+from vendors.fairino.simulator.cnde import CndeBehaviour, CndeSession
 
 UDP = CndeOptions(transport="udp", states=("program_state", "actual_joint_pos"))
 
@@ -39,9 +39,9 @@ class Log:
         assert min(n_bytes, decode_s) >= 0
         self.frames_s += [at_s for event in events if isinstance(event, Frame)]
 
-    def silent(self, reason: str) -> None:
+    def silent(self, reason: str, kind: RefusedKind | None) -> None:
         """Never kept."""
-        raise AssertionError(reason)
+        raise AssertionError((reason, kind))
 
 
 class Controller:
