@@ -60,7 +60,7 @@ VENDOR = Vendor(
             rate_hz=50.0,
             max_rate_hz=500.0,
             outgoing=(rb"reqdata\n?",),
-            cost=25.0,
+            cost=20.0,
         ),
     ),
 )

@@ -16,10 +16,10 @@ from gateway.api.model import (
     Quality,
     SafetyFunction,
     SafetyState,
-    Severity,
 )
 from gateway.api.signals import Signal
 from gateway.api.units import ZERO_CELSIUS_K
+from vendors.rainbow.layouts import STATE_580
 
 Words = list[int]
 
@@ -28,49 +28,54 @@ STILL, MOVING, HELD_BY_PROCESS = 1, 3, 5  # robot_state
 WAYPOINTS = range(60, 1060)  # robot_state: 60 + n and 560 + n
 INIT_DONE = 6  # init_state_info
 
+# The words are the manual's; v4.3.1 and v6.10 agree on them.
 _SOS_TEXTS = {
-    1: "encoder (PVL)",
-    2: "CPU",
-    3: "BIG",
-    4: "input",
-    5: "JAM",
-    6: "over-current",
-    7: "position bound",
-    8: "mode",
-    9: "match",
-    10: "over-current or low voltage",
-    11: "temperature",
-    12: "over-speed",
+    1: "Encoder err (PVL)",
+    2: "CPU err",
+    3: "Big err",
+    4: "Input err",
+    5: "JAM err",
+    6: "Over current err",
+    7: "Position bound err",
+    8: "Mode err",
+    9: "Match err",
+    10: "Over current/Low voltage err",
+    11: "Temperature err",
+    12: "Speed over err",
 }
-_KINEMATIC_TEXTS = {1: "arm stretch", 2: "Cartesian limit", 3: "joint limit", 4: "unsolvable"}
+_KINEMATIC_TEXTS = {1: "Arm Stretch", 2: "Cartesian Limit", 3: "Joint Limit", 4: "Un-solvable"}
 _SOFT_LIMITS = {2, 3}
 _JOINT_TEXTS = {
-    "enc_nonius_err": "encoder: Nonius error",
-    "enc_low_battery": "encoder: low battery",
-    "enc_multiturn_err": "encoder: multi-turn error",
-    "err_jam": "JAM error",
-    "err_cur": "CUR error (over-current)",
-    "err_big": "BIG error",
-    "err_inp": "INP error (input)",
-    "err_flt": "FLT error",
-    "err_tmp": "TMP error (temperature)",
-    "err_ps1": "PS1 error",
-    "err_ps2": "PS2 error",
+    "enc_nonius_err": "encoder state (Nonius err)",
+    "enc_low_battery": "encoder state (LowBatt err)",
+    "enc_multiturn_err": "encoder state (Multi-turn err)",
+    "err_jam": "Error state (JAM err)",
+    "err_cur": "Error state (CUR err)",
+    "err_big": "Error state (BIG err)",
+    "err_inp": "Error state (INP err)",
+    "err_flt": "Error state (FLT err)",
+    "err_tmp": "Error state (TMP err)",
+    "err_ps1": "Error state (PS1 err)",
+    "err_ps2": "Error state (PS2 err)",
 }
-_JOINT_FLAGS = tuple(f"jnt_info.{name}" for name in _JOINT_TEXTS)
+_JOINT_BITS = {name: 1 << STATE_580.flag_owner[f"jnt_info.{name}"][1].bit for name in _JOINT_TEXTS}
+_ANY_JOINT_BIT = sum(_JOINT_BITS.values())
 _ESTOPS = ("information_chunk_1.estop_1", "information_chunk_1.estop_2")
+_EMS2 = "information_chunk_3.safety_ems2_pressed"
+_UNEXPLAINED_STOPS = tuple(f"information_chunk_3.safety_{name}_pressed" for name in ("prs", "hss", "sss"))
 _SOS = "op_stat_sos_flag.sos_code"
+_SOS_ACTIVE = "information_chunk_1.sos_active"
 _KINEMATIC = "op_stat_ems_flag.ems_code"
+# The whole words of the joints: only those with an error are opened. Their reserved bits cost a comparison.
+_ERRORS = (_SOS, _SOS_ACTIVE, _KINEMATIC, "init_error.init_error_code", "jnt_info")
 _OUT_COLLISION = "op_stat_collision_occur.out_collision"
 _SELF_COLLISION = "op_stat_self_collision.self_collision"
 _PAUSE = "op_stat_soft_estop_occur"
 _SAFETY_INPUTS = (
     "information_chunk_2.config_di_16",
     "information_chunk_3.config_di_17",
-    "information_chunk_3.safety_ems2_pressed",
-    "information_chunk_3.safety_prs_pressed",
-    "information_chunk_3.safety_hss_pressed",
-    "information_chunk_3.safety_sss_pressed",
+    _EMS2,
+    *_UNEXPLAINED_STOPS,
 )
 
 
@@ -85,11 +90,16 @@ def set_or_unknown(bit: int) -> bool | None:
 
 
 def pressed(estop_1: int, estop_2: int, estop_polarity: str | None) -> bool | None:
-    """Whether an emergency stop is pressed, on either channel; unknown until the polarity is configured."""
+    """Whether an emergency stop of the box is pressed, on either channel; unknown until the polarity is configured."""
     if estop_polarity is None:
         return None
     level = 0 if estop_polarity == "active_low" else 1
     return level in {estop_1, estop_2}
+
+
+def e_stopped(estop_1: int, estop_2: int, ems2: int | None, estop_polarity: str | None) -> bool | None:
+    """Whether any emergency stop is pressed. EMS2 is documented as pressed when 1; its 0 or absence proves nothing."""
+    return True if ems2 else pressed(estop_1, estop_2, estop_polarity)
 
 
 def power(init_stage: int, arm_power: int) -> Power:
@@ -134,47 +144,63 @@ def all_set(flags: Words) -> bool:
     return all(flags)
 
 
-def faults(sos: int, kinematic: int, init_error: int, *joints: Words) -> list[Fault]:
-    """Every fault that the frame shows, with the manual's codes and words."""
+def joint_errors(words: Words) -> int:
+    """The error bits that are set at any joint."""
+    found = 0
+    for word in words:
+        found |= word
+    return found & _ANY_JOINT_BIT
+
+
+def faults(sos: int, sos_active: int, kinematic: int, init_error: int, joints: Words) -> list[Fault]:
+    """Every fault that the frame shows, under the name of its field; the manual gives no severity."""
     found = []
     if sos:
-        found.append(Fault("sos", main=sos, severity=Severity.ERROR, text=_SOS_TEXTS.get(sos)))
+        found.append(Fault("op_stat_sos_flag", main=sos, text=_SOS_TEXTS.get(sos)))
+    elif sos_active:
+        found.append(Fault("sos_active"))
     if kinematic:
-        text = _KINEMATIC_TEXTS.get(kinematic)
-        found.append(Fault("kinematic_stop", main=kinematic, severity=Severity.ERROR, text=text))
+        found.append(Fault("op_stat_ems_flag", main=kinematic, text=_KINEMATIC_TEXTS.get(kinematic)))
     if init_error:
-        found.append(Fault("init_error", main=init_error, severity=Severity.ERROR))
-    for code, flags in zip(_JOINT_TEXTS, joints, strict=True):
+        found.append(Fault("init_error", main=init_error))
+    if joint_errors(joints):
         found += [
-            Fault(code, severity=Severity.ERROR, text=_JOINT_TEXTS[code], joint=joint)
-            for joint, flag in enumerate(flags)
-            if flag
+            Fault(code, text=_JOINT_TEXTS[code], joint=joint)
+            for code, bit in _JOINT_BITS.items()
+            for joint, word in enumerate(joints)
+            if word & bit
         ]
     return found
 
 
-def in_error(sos: int, kinematic: int, init_error: int, *joints: Words) -> bool:
+def in_error(sos: int, sos_active: int, kinematic: int, init_error: int, joints: Words) -> bool:
     """Whether the frame shows any fault."""
-    return bool(sos or kinematic or init_error) or any(any(flags) for flags in joints)
+    return bool(sos or sos_active or kinematic or init_error or joint_errors(joints))
 
 
 def safety_state(
     estop_1: int,
     estop_2: int,
+    ems2: int | None,
     sos: int,
+    sos_active: int,
     out_collision: int,
     self_collision: int,
+    *other_stops: int | None,
     estop_polarity: str | None,
 ) -> SafetyState | None:
-    """The overall state. NORMAL needs to know that no emergency stop is pressed: without its polarity it is null."""
-    e_stopped = pressed(estop_1, estop_2, estop_polarity)
-    if e_stopped:
+    """The overall state. NORMAL needs every emergency stop known to be released, and no other stop.
+
+    What stopped the arm kinematically or by the inputs PRS, HSS and SSS is not established: the state is null then.
+    """
+    stopped = e_stopped(estop_1, estop_2, ems2, estop_polarity)
+    if stopped:
         return SafetyState.EMERGENCY_STOP
-    if sos:
+    if sos or sos_active:
         return SafetyState.FAULT
     if out_collision or self_collision:
         return SafetyState.PROTECTIVE_STOP
-    return None if e_stopped is None else SafetyState.NORMAL
+    return None if stopped is None or any(other_stops) else SafetyState.NORMAL
 
 
 def safety_functions(
@@ -259,14 +285,15 @@ SIGNALS = (
     Signal("status.simulation", "real_vs_simulation_mode.simulation", is_one),
     Signal("status.drives_powered", "jnt_info.fet", all_set),
     Signal("status.in_motion", ("robot_state", "is_freedrive_mode.freedrive", _PAUSE), in_motion),
-    Signal("status.in_error", (_SOS, _KINEMATIC, "init_error.init_error_code", *_JOINT_FLAGS), in_error),
-    Signal("status.e_stopped", _ESTOPS, pressed, options=("estop_polarity",)),
+    Signal("status.in_error", _ERRORS, in_error),
+    Signal("status.e_stopped", (*_ESTOPS, _EMS2), e_stopped, partial=True, options=("estop_polarity",)),
     Signal("status.tool_id", "information_chunk_4.tool_list_index"),
-    Signal("status.faults", (_SOS, _KINEMATIC, "init_error.init_error_code", *_JOINT_FLAGS), faults),
+    Signal("status.faults", _ERRORS, faults),
     Signal(
         "safety.state",
-        (*_ESTOPS, _SOS, _OUT_COLLISION, _SELF_COLLISION),
+        (*_ESTOPS, _EMS2, _SOS, _SOS_ACTIVE, _OUT_COLLISION, _SELF_COLLISION, _KINEMATIC, *_UNEXPLAINED_STOPS),
         safety_state,
+        partial=True,
         options=("estop_polarity",),
     ),
     Signal(

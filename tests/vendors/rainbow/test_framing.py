@@ -43,7 +43,8 @@ def test_a_size_that_is_no_whole_number_of_words_is_rejected_and_the_next_frame_
     events = decoded(frame(580 + more) + frame(580))
     first, last = events[0], events[-1]
     assert isinstance(first, Reject)
-    assert (first.reason, str(first.detail).split(",")[0]) == ("size", f"state of {580 + more} bytes")
+    assert first.reason == "size"
+    assert f"state of {580 + more} bytes" in str(first.detail)
     assert isinstance(last, Frame)
     assert len(last.raw) == 580
     assert sum(isinstance(event, Frame) for event in events) == 1

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
+from pathlib import Path
 from typing import TypeVar
 
 import msgspec
@@ -11,6 +13,7 @@ import pytest
 from gateway.api.layout import Layout
 from gateway.api.model import (
     Controller,
+    Fault,
     FunctionKind,
     Joints,
     Motion,
@@ -20,13 +23,14 @@ from gateway.api.model import (
     Safety,
     SafetyFunction,
     SafetyState,
-    Severity,
     Status,
     Tcp,
     Wrench,
 )
 from gateway.api.normaliser import Normaliser
-from vendors.rainbow.layouts import STATE_464, STATE_488, STATE_580
+from gateway.testing.vectors import load
+from vendors import rainbow
+from vendors.rainbow.layouts import LAYOUTS, STATE_464, STATE_488, STATE_580
 from vendors.rainbow.signals import SIGNALS
 
 T = TypeVar("T", bound=msgspec.Struct)
@@ -41,6 +45,12 @@ GROUPS: dict[type[msgspec.Struct], str] = {
 }
 
 
+@lru_cache
+def normaliser_of(polarity: str | None, external_joints: int) -> Normaliser:
+    """Compiling the readers takes longer than all that is read with them."""
+    return Normaliser(SIGNALS, {"estop_polarity": polarity, "external_joints": external_joints})
+
+
 def read(
     kind: type[T],
     values: dict[str, object],
@@ -50,8 +60,7 @@ def read(
     layout: Layout = STATE_580,
 ) -> T:
     """Read one group of a frame that holds some values and is 0 elsewhere."""
-    normaliser = Normaliser(SIGNALS, {"estop_polarity": polarity, "external_joints": external_joints})
-    found, _ = normaliser.readers(layout)[GROUPS[kind]].read(layout.encode(values), 0)
+    found, _ = normaliser_of(polarity, external_joints).readers(layout)[GROUPS[kind]].read(layout.encode(values), 0)
     assert isinstance(found, kind)
     return found
 
@@ -85,15 +94,12 @@ def test_the_soft_estop_word_means_paused_and_is_no_emergency_stop() -> None:
     assert read(Safety, {"op_stat_soft_estop_occur": 1} | RELEASED, polarity="active_low").state is SafetyState.NORMAL
 
 
-@pytest.mark.parametrize(
-    ("code", "text"), [(1, "arm stretch"), (2, "Cartesian limit"), (3, "joint limit"), (4, "unsolvable")]
-)
-def test_the_ems_word_is_a_kinematic_stop_and_no_emergency_stop(code: int, text: str) -> None:
+@pytest.mark.parametrize("code", [1, 2, 3, 4, 63])
+def test_the_ems_word_is_a_kinematic_stop_and_no_emergency_stop_but_not_normal_either(code: int) -> None:
     values = {"op_stat_ems_flag": code} | RELEASED
     safety, status = read(Safety, values, polarity="active_low"), read(Status, values, polarity="active_low")
-    assert (safety.state, safety.soft_limit, status.e_stopped) == (SafetyState.NORMAL, code in {2, 3}, False)
-    assert status.faults is not None
-    assert [(fault.code, fault.main, fault.text) for fault in status.faults] == [("kinematic_stop", code, text)]
+    assert (safety.state, safety.soft_limit, status.e_stopped) == (None, code in {2, 3}, False)
+    assert status.in_error is True
 
 
 def test_upper_bits_of_masked_words_are_other_data() -> None:
@@ -179,6 +185,49 @@ def test_either_channel_presses_the_emergency_stop(polarity: str, first: int, se
     assert functions(values, polarity)["estop_1"].active is (first == (polarity == "active_high"))
 
 
+@pytest.mark.parametrize("polarity", [None, "active_low", "active_high"])
+def test_ems2_is_documented_as_pressed_whatever_the_polarity_of_the_others(polarity: str | None) -> None:
+    level = int(polarity != "active_high")
+    values = chunk(1, estop_1=level, estop_2=level) | chunk(3, safety_ems2_pressed=1)
+    assert read(Status, values, polarity=polarity).e_stopped is True
+    assert read(Safety, values, polarity=polarity).state is SafetyState.EMERGENCY_STOP
+
+
+def test_ems2_at_zero_says_nothing_of_an_emergency_stop() -> None:
+    assert read(Status, RELEASED | chunk(3, safety_ems2_pressed=0)).e_stopped is None
+    assert read(Status, chunk(3, safety_ems2_pressed=0), polarity="active_low").e_stopped is True
+
+
+@pytest.mark.parametrize("name", ["safety_prs_pressed", "safety_hss_pressed", "safety_sss_pressed"])
+def test_a_pressed_safety_input_of_unknown_meaning_is_not_normal(name: str) -> None:
+    values = RELEASED | chunk(3, **{name: 1})
+    assert read(Safety, values, polarity="active_low").state is None
+    assert read(Status, values, polarity="active_low").e_stopped is False
+
+
+@pytest.mark.parametrize("level", [0, 1, 2, 3])
+def test_the_configurable_inputs_without_a_polarity_decide_nothing(level: int) -> None:
+    values = RELEASED | chunk(2, config_di_16=level) | chunk(3, config_di_17=level)
+    assert read(Safety, values, polarity="active_low").state is SafetyState.NORMAL
+    assert read(Status, values, polarity="active_low").e_stopped is False
+
+
+@pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: layout.name)
+def test_older_frames_without_the_safety_inputs_still_tell_the_emergency_stop(layout: Layout) -> None:
+    def told(values: dict[str, object], polarity: str | None = "active_low") -> tuple[object, object]:
+        return (
+            read(Status, values, polarity=polarity, layout=layout).e_stopped,
+            read(Safety, values, polarity=polarity, layout=layout).state,
+        )
+
+    assert told(RELEASED) == (False, SafetyState.NORMAL)
+    assert told({}) == (True, SafetyState.EMERGENCY_STOP)
+    assert told(RELEASED | {"op_stat_sos_flag": 1}) == (False, SafetyState.FAULT)
+    assert told(RELEASED | {"op_stat_collision_occur": 1}) == (False, SafetyState.PROTECTIVE_STOP)
+    assert told(RELEASED | {"op_stat_ems_flag": 1}) == (False, None)
+    assert told(RELEASED, None) == (None, None)
+
+
 def test_an_emergency_stop_outranks_faults_and_collisions() -> None:
     hurt: dict[str, object] = {"op_stat_sos_flag": 5, "op_stat_collision_occur": 1}
     assert read(Safety, hurt, polarity="active_low").state is SafetyState.EMERGENCY_STOP
@@ -211,6 +260,21 @@ def test_cabinet_temperatures_are_stored_halved_and_unknown_when_zero() -> None:
     controller = read(Controller, chunk(1, cpu_temp_half=25))
     assert controller.cpu_temperature == pytest.approx(50 + 273.15)
     assert controller.board_temperature is None
+
+
+@pytest.mark.parametrize("key", ["cpu_temperature", "board_temperature"])
+def test_each_cabinet_temperature_is_uncertain_by_itself(key: str) -> None:
+    rows = [row for row in SIGNALS if row.key == f"controller.{key}"]
+    assert Normaliser(rows, {}).readers(STATE_580)["controller"].quality is Quality.UNCERTAIN
+
+
+def test_every_vector_states_the_quality_of_every_group() -> None:
+    groups = set(Normaliser(SIGNALS, {"estop_polarity": None, "external_joints": 0}).groups) - {"vendor"}
+    vectors = [vector for vector in load(Path(rainbow.__file__).with_name("vectors.toml")) if vector.layout]
+    assert vectors
+    for vector in vectors:
+        assert {group for group, expected in vector.canonical.items() if "q" in expected} == groups, vector.name
+        assert vector.canonical["controller"]["q"] == "UNCERTAIN", vector.name
 
 
 def test_six_zeros_of_force_are_a_robot_without_a_sensor() -> None:
@@ -278,24 +342,91 @@ def test_simulation_is_only_what_the_manual_documents(value: int, *, simulation:
     assert read(Status, {"real_vs_simulation_mode": value}).simulation is simulation
 
 
-def test_faults_carry_the_vendors_code_text_and_joint() -> None:
+def test_faults_carry_the_field_its_number_the_manuals_words_and_the_joint() -> None:
     joints = [{}, {}, {"err_jam": 1}, {}, {}, {"err_tmp": 1, "enc_calibrating": 1}]
     status = read(Status, {"op_stat_sos_flag": 11, "init_error": 0xABC, "jnt_info": joints})
     assert status.in_error is True
     assert status.faults is not None
     assert [(fault.code, fault.main, fault.text, fault.joint) for fault in status.faults] == [
-        ("sos", 11, "temperature", None),
+        ("op_stat_sos_flag", 11, "Temperature err", None),
         ("init_error", 0xABC, None, None),
-        ("err_jam", None, "JAM error", 2),
-        ("err_tmp", None, "TMP error (temperature)", 5),
+        ("err_jam", None, "Error state (JAM err)", 2),
+        ("err_tmp", None, "Error state (TMP err)", 5),
     ]
-    assert {fault.severity for fault in status.faults} == {Severity.ERROR}
 
 
-def test_an_unknown_device_error_is_told_without_invented_words() -> None:
-    status = read(Status, {"op_stat_sos_flag": 13})
-    assert status.faults is not None
-    assert [(fault.main, fault.text) for fault in status.faults] == [(13, None)]
+# The lists of both manuals as they are printed, v4.3.1 (English) under op_stat_sos_flag and op_stat_ems_flag.
+SOS_CODES = """
+1=Encoder err (PVL) / 2=CPU err / 3=Big err / 4=Input err / 5=JAM err / 6 = Over current err / 7 = Position bound err /
+8 = Mode err / 9 = Match err / 10 = Over current/Low voltage err / 11 = Temperature err / 12 = Speed over err
+"""
+EMS_CODES = "1 = Arm Stretch / 2= Cartesian Limit / 3=Joint Limit / 4=Un-solvable"
+
+
+def printed(field: str, text: str) -> list[tuple[str, int, str]]:
+    """Field, number and words of each entry of a list that the manual prints."""
+    entries = (entry.split("=") for entry in text.split(" /"))
+    return [(field, int(number), words.strip()) for number, words in entries]
+
+
+@pytest.mark.parametrize(
+    ("field", "code", "text"), printed("op_stat_sos_flag", SOS_CODES) + printed("op_stat_ems_flag", EMS_CODES)
+)
+def test_every_code_has_the_words_that_the_manual_prints(field: str, code: int, text: str) -> None:
+    assert read(Status, {field: code}).faults == [Fault(field, main=code, text=text)]
+
+
+def test_the_manual_prints_twelve_device_errors_and_four_kinematic_stops() -> None:
+    assert [code for _, code, _ in printed("", SOS_CODES)] == list(range(1, 13))
+    assert [code for _, code, _ in printed("", EMS_CODES)] == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(
+    ("bit", "code", "text"),
+    [
+        (4, "enc_nonius_err", "encoder state (Nonius err)"),
+        (5, "enc_low_battery", "encoder state (LowBatt err)"),
+        (7, "enc_multiturn_err", "encoder state (Multi-turn err)"),
+        (8, "err_jam", "Error state (JAM err)"),
+        (9, "err_cur", "Error state (CUR err)"),
+        (10, "err_big", "Error state (BIG err)"),
+        (11, "err_inp", "Error state (INP err)"),
+        (12, "err_flt", "Error state (FLT err)"),
+        (13, "err_tmp", "Error state (TMP err)"),
+        (14, "err_ps1", "Error state (PS1 err)"),
+        (15, "err_ps2", "Error state (PS2 err)"),
+    ],
+)
+def test_every_error_bit_of_a_joint_has_the_words_that_the_manual_prints(bit: int, code: str, text: str) -> None:
+    for joint in range(6):
+        status = read(Status, {"jnt_info": [1 << bit if at == joint else 0xFFFF_004F for at in range(6)]})
+        assert (status.faults, status.in_error) == ([Fault(code, text=text, joint=joint)], True)
+
+
+def test_no_fault_has_a_severity_because_the_manual_gives_none() -> None:
+    words: dict[str, object] = {"op_stat_sos_flag": 1, "op_stat_ems_flag": 1, "init_error": 1, "jnt_info": [0xFFFF] * 6}
+    for values in (words, chunk(1, sos_active=1)):
+        found = read(Status, values).faults
+        assert found
+        assert {fault.severity for fault in found} == {None}
+
+
+@pytest.mark.parametrize("field", ["op_stat_sos_flag", "op_stat_ems_flag"])
+def test_an_unknown_code_is_told_without_invented_words(field: str) -> None:
+    assert read(Status, {field: 13}).faults == [Fault(field, main=13)]
+
+
+def test_a_device_error_state_without_a_code_is_a_fault_without_words() -> None:
+    values = chunk(1, estop_1=1, estop_2=1, sos_active=1)
+    status = read(Status, values, polarity="active_low")
+    assert (status.in_error, status.faults) == (True, [Fault("sos_active")])
+    assert read(Safety, values, polarity="active_low").state is SafetyState.FAULT
+    assert read(Safety, values).state is SafetyState.FAULT
+
+
+def test_a_device_error_with_its_code_is_one_fault_and_not_two() -> None:
+    status = read(Status, {"op_stat_sos_flag": 5} | chunk(1, sos_active=1))
+    assert status.faults == [Fault("op_stat_sos_flag", main=5, text="JAM err")]
 
 
 def test_reserved_bits_of_the_joints_are_no_fault() -> None:

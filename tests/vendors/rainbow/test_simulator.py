@@ -15,7 +15,9 @@ from gateway.sim.scenario import Fault, FaultKind, Phase, Scenario, find_scenari
 from gateway.sim.simulator import VirtualRobot
 from vendors.rainbow import FRAMING
 from vendors.rainbow.layouts import LAYOUTS, STATE_580
-from vendors.rainbow.simulator import FILLERS, SIMULATOR, CommandSession, RainbowOptions, StateSession
+from vendors.rainbow.simulator import SIMULATOR
+from vendors.rainbow.simulator.encoding import FILLERS, RainbowOptions
+from vendors.rainbow.simulator.sessions import CommandSession, StateSession
 
 SIZES = sorted(layout.size for layout in LAYOUTS)
 

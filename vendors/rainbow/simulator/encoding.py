@@ -1,7 +1,6 @@
-"""The virtual Rainbow controller: state frames on port 5001, made of the same table that decodes them.
+"""The state frames of the virtual Rainbow controller, made of the same table that decodes them.
 
-It answers each `reqdata` with one frame in one send, as clients expect, and fills what clients must mask or ignore with
-values other than zero. Port 5000 acknowledges every command and executes none: some clients insist on connecting to it.
+What clients must mask or ignore is filled with values other than zero. Sessions stand in `sessions.py`.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ import dataclasses
 from functools import partial
 from math import pi, sin
 from random import Random
-from typing import Annotated, Literal, cast
+from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
@@ -20,11 +19,10 @@ from gateway.api.model import Power, ProgramState
 from gateway.api.units import ZERO_CELSIUS_K
 from gateway.sim.packing import Packer, Word
 from gateway.sim.scenario import FaultKind, RobotState
-from gateway.sim.simulator import Port, Simulator, VirtualRobot
+from gateway.sim.simulator import VirtualRobot
 from vendors.rainbow.layouts import LAYOUTS, STATE_580
 
 HEADER = 4
-REQUEST = b"reqdata"
 STATE, CONFIGURATION, POP_UP = 3, 4, 10  # frame types
 _LONGEST = 4100
 _SIZES = tuple(sorted(layout.size for layout in LAYOUTS))
@@ -297,68 +295,3 @@ _CHUNK_1, _CHUNK_3 = _slot("information_chunk_1"), _slot("information_chunk_3")
 _SELF_COLLISION, _FORCE_Z = _slot("op_stat_self_collision"), _slot("eft_fz")
 _CPU_BIT, _BOARD_BIT = _bit("information_chunk_1.cpu_temp_half"), _bit("information_chunk_1.board_temp_half")
 _SPEED_BIT, _ZONE_BIT = _bit("information_chunk_3.tcp_speed_x10"), _bit("op_stat_self_collision.time_zone_raw")
-
-
-class StateSession:
-    """Port 5001: one frame for each request, with or without a newline behind it."""
-
-    period_s: float | None = None
-
-    def __init__(self, robot: VirtualRobot, options: msgspec.Struct) -> None:
-        self._robot = robot
-        self._encoder = Encoder(robot, cast("RainbowOptions", options))
-        self._rest = b""
-
-    def received(self, data: bytes, now_s: float) -> list[bytes]:
-        """Answer every request; one that is cut in two is found too."""
-        data = self._rest + data
-        requests = data.count(REQUEST)
-        self._rest = _unfinished(data)
-        self._robot.requests += requests
-        return [self._encoder.frame(now_s) for _ in range(requests)]
-
-    def due(self, _now_s: float) -> list[bytes]:
-        """Nothing is pushed."""
-        return []
-
-
-def _unfinished(data: bytes) -> bytes:
-    """The end of the data that may be the beginning of a request."""
-    for length in range(min(len(REQUEST) - 1, len(data)), 0, -1):
-        if REQUEST.startswith(data[-length:]):
-            return data[-length:]
-    return b""
-
-
-class CommandSession:
-    """Port 5000: every command is acknowledged and none is executed."""
-
-    period_s: float | None = None
-
-    def __init__(self, _robot: VirtualRobot, _options: msgspec.Struct) -> None:
-        pass
-
-    def received(self, data: bytes, _now_s: float) -> list[bytes]:
-        """Acknowledge each line; the last one needs no newline."""
-        answers = []
-        for line in data.splitlines():
-            if not line.strip():
-                continue
-            answers.append(b"The command was executed\n")
-            if b"get_control_box_info()" in line:
-                answers.append(b"info[controlbox][8.7.3,1]\n")
-        return answers
-
-    def due(self, _now_s: float) -> list[bytes]:
-        """Nothing is pushed."""
-        return []
-
-
-SIMULATOR = Simulator(
-    ports=(
-        Port(protocol="reqdata", port=5001, session=StateSession, header=HEADER, fillers=FILLERS),
-        Port(protocol=None, port=5000, session=CommandSession),
-    ),
-    options=RainbowOptions,
-    demo={"estop_polarity": "active_low"},
-)
