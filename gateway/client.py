@@ -164,8 +164,7 @@ class Client:
     async def _receive(self) -> messages.Response:
         message = await self._socket.receive()
         if message.type is not aiohttp.WSMsgType.TEXT:
-            reason = message.extra if isinstance(message.extra, str) and message.extra else "the gateway has gone"
-            raise ClientError(self._url, f"the connection has ended: {reason}")
+            raise ClientError(self._url, f"the connection has ended{_farewell(message)}")
         try:
             return _DECODER.decode(message.data)
         except msgspec.DecodeError:
@@ -207,6 +206,15 @@ async def _open(session: aiohttp.ClientSession, url: str) -> aiohttp.ClientWebSo
         )
     except (aiohttp.ClientError, OSError, ValueError) as error:
         raise ClientError(url, _advice(error)) from None
+
+
+def _farewell(message: aiohttp.WSMessage) -> str:
+    """The rest of the sentence about a connection that has ended."""
+    if message.type is not aiohttp.WSMsgType.CLOSE:
+        return " without a farewell: the gateway has gone, or ended with an internal error, see its log"
+    if message.data == aiohttp.WSCloseCode.INTERNAL_ERROR:
+        return " with an internal error of the gateway, see its log"
+    return f": {message.extra or 'the gateway has gone'}"
 
 
 def _advice(error: Exception) -> str:

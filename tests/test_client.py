@@ -7,10 +7,11 @@ from contextlib import asynccontextmanager
 
 import anyio
 import anyio.abc
+import msgspec
 import pytest
 from aiohttp import web
 
-from gateway.api.messages import Data, EventMessage
+from gateway.api.messages import Data, EventMessage, Limits, Welcome
 from gateway.client import ClientError, RequestError, connect
 from tests.server.kit import BOOT, cell, publish, raise_event, running_door
 
@@ -78,6 +79,24 @@ async def test_a_gateway_that_stops_says_so_in_the_middle_of_the_stream() -> Non
 
 
 @pytest.mark.parametrize(
+    ("code", "says"), [(1011, "ended with an internal error of the gateway"), (1013, "ended: why")]
+)
+async def test_a_farewell_is_told_by_its_code(code: int, says: str) -> None:
+    with pytest.raises(ClientError, match=says):
+        await leave(lambda socket: socket.close(code=code, message=b"why"))
+
+
+async def test_an_end_without_a_farewell_is_told_from_one_with() -> None:
+    async def cut(socket: web.WebSocketResponse) -> None:
+        transport = socket._req.transport if socket._req else None
+        assert transport is not None
+        transport.abort()
+
+    with pytest.raises(ClientError, match="without a farewell: the gateway has gone, or ended with an internal error"):
+        await leave(cut)
+
+
+@pytest.mark.parametrize(
     "url", ["", "foo", "ws:/x", "ws://", "ftp://127.0.0.1/ws", "ws://127.0.0.1:99999/ws", "ws://[::1/"]
 )
 async def test_an_address_that_is_none_says_what_one_looks_like(url: str) -> None:
@@ -131,6 +150,37 @@ async def talk_tls(stream: anyio.abc.ByteStream) -> None:
         await stream.send(b"\x15\x03\x03\x00\x02\x02\x46")
 
 
+@asynccontextmanager
+async def greeting(text: str, then: Callable[[web.WebSocketResponse], Awaitable[object]]) -> AsyncIterator[str]:
+    """A WebSocket server that says one thing and then does another."""
+
+    async def greet(request: web.Request) -> web.WebSocketResponse:
+        socket = web.WebSocketResponse()
+        await socket.prepare(request)
+        await socket.send_str(text)
+        await then(socket)
+        return socket
+
+    app = web.Application()
+    app.router.add_get("/ws", greet)
+    runner = web.AppRunner(app)
+    await runner.setup()
+    site = web.TCPSite(runner, "127.0.0.1", 0)
+    await site.start()
+    try:
+        yield f"ws://127.0.0.1:{runner.addresses[0][1]}/ws"
+    finally:
+        await runner.cleanup()
+
+
+async def leave(end: Callable[[web.WebSocketResponse], Awaitable[object]]) -> None:
+    """Follow a gateway that ends the connection after its welcome."""
+    welcome = Welcome(gateway="0", robots=[], last_event="b:0", limits=Limits(queued_samples=1, queued_events=1))
+    async with greeting(msgspec.json.encode(welcome).decode(), end) as url, connect(url) as client:
+        async for _ in client.pushed():
+            pass
+
+
 async def test_a_server_that_says_nothing_is_not_waited_for_for_ever() -> None:
     async with serving(silent) as url:
         with anyio.fail_after(5), pytest.raises(ClientError, match="nothing came within 3 s"):
@@ -164,22 +214,7 @@ async def test_a_wrong_path_says_which_is_right() -> None:
 
 @pytest.mark.parametrize("text", ["hello", '{"op":"other"}', '{"op":"data","samples":[]}', "[]"])
 async def test_another_websocket_is_told_from_a_gateway(text: str) -> None:
-    async def greet(request: web.Request) -> web.WebSocketResponse:
-        socket = web.WebSocketResponse()
-        await socket.prepare(request)
-        await socket.send_str(text)
-        await socket.receive()
-        return socket
-
-    app = web.Application()
-    app.router.add_get("/ws", greet)
-    runner = web.AppRunner(app)
-    await runner.setup()
-    site = web.TCPSite(runner, "127.0.0.1", 0)
-    await site.start()
-    try:
+    async with greeting(text, lambda socket: socket.receive()) as url:
         with pytest.raises(ClientError, match="not as a gateway does"):
-            async with connect(f"ws://127.0.0.1:{runner.addresses[0][1]}/ws"):
+            async with connect(url):
                 pass
-    finally:
-        await runner.cleanup()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import sys
 from typing import Annotated, NoReturn, cast
@@ -46,9 +47,13 @@ class _LazyGroup(TyperGroup):
     def list_commands(self, ctx: object) -> list[str]:  # noqa: ARG002
         return list(_COMMANDS)
 
-    def get_command(self, ctx: object, cmd_name: str) -> TyperCommand | TyperGroup | None:  # noqa: ARG002
+    def get_command(self, ctx: object, cmd_name: str) -> TyperCommand | TyperGroup | None:
         if cmd_name not in _COMMANDS:
-            return None
+            if cmd_name.startswith("-"):
+                return None
+            near = difflib.get_close_matches(cmd_name, _COMMANDS, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(_COMMANDS)}"
+            cast("typer.Context", ctx).fail(f"no such command {cmd_name!r}; {hint}")
         module, attribute = _COMMANDS[cmd_name]
         found = getattr(importlib.import_module(module), attribute)
         if isinstance(found, typer.Typer):

@@ -55,6 +55,8 @@ Chaos (RATE is for each frame, 0 to 1; times in seconds):
 {chaos}
 """
 
+_WIDEST_CHOICES = 60
+
 T = TypeVar("T")
 
 VendorDirs = Annotated[
@@ -147,9 +149,11 @@ def _options(simulator: Simulator) -> Iterator[inspect.Parameter]:
     for field in msgspec.structs.fields(simulator.options):
         value_type, *meta = get_args(field.type) if hasattr(field.type, "__metadata__") else (field.type,)
         text = next((item.description for item in meta if isinstance(item, msgspec.Meta)), None)
-        option = typer.Option(
-            f"--{field.name.replace('_', '-')}", help=text, rich_help_panel="The vendor's own options"
-        )
+        flag = f"--{field.name.replace('_', '-')}"
+        # Choices too many for a line are left to the description.
+        wide = len("|".join(map(str, get_args(value_type)))) > _WIDEST_CHOICES
+        metavar = field.name.upper() if wide else None
+        option = typer.Option(flag, help=text, metavar=metavar, rich_help_panel="The vendor's own options")
         yield inspect.Parameter(
             field.name,
             inspect.Parameter.KEYWORD_ONLY,

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
 import sys
 import time
+from collections.abc import Iterable
 from functools import partial
 from typing import Annotated
 
@@ -18,6 +20,7 @@ from gateway.api.messages import RobotInfo
 from gateway.api.model import Sample
 from gateway.cli.common import DEFAULT_URL, USAGE, Url, call, fail, terminal
 from gateway.cli.view import robots_table
+from gateway.cli.why import explain
 from gateway.client import Client, ClientError, connect
 
 _WATCH_S = 0.5
@@ -29,15 +32,20 @@ def status(
     *,
     watch: Annotated[bool, typer.Option("--watch", "-w", help="Keep showing it until Ctrl-C.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON, for programs.")] = False,
+    why: Annotated[
+        str | None,
+        typer.Option(metavar="ROBOT", help="Explain one robot's link: what happened, and what to check next."),
+    ] = None,
 ) -> None:
     """Show every robot of a running gateway: link, rate, power, motion, program and safety.
 
-    A dash means: this robot cannot tell. Exit code 1: no gateway answers.
+    A dash means: this robot cannot tell. Exit code 1: no gateway answers, or it has no such robot.
 
     \b
     Examples:
       robot-gateway status
       robot-gateway status --watch
+      robot-gateway status --why r1
       robot-gateway status --json | jq '.[] | [.name, .link.state]'
     """  # noqa: D301 - the \b keeps the lines apart
     if watch and as_json:
@@ -45,7 +53,11 @@ def status(
             "--watch is for people and --json for programs: take one of them, or `robot-gateway tail --format json`",
             USAGE,
         )
-    if watch:
+    if why is not None and (watch or as_json):
+        fail("--why explains one robot to people, once: leave out --watch and --json", USAGE)
+    if why is not None:
+        call(partial(_why, url, why))
+    elif watch:
         call(partial(_watch, url))
     else:
         call(partial(_once, url, as_json=as_json))
@@ -67,6 +79,19 @@ async def _once(url: str, *, as_json: bool) -> None:
         return
     console = terminal()
     console.print(_table(robots, latest, console.width))
+
+
+async def _why(url: str, name: str) -> None:
+    async with connect(url) as client:
+        robots = {robot.name: robot for robot in await client.robots()}
+    if name not in robots:
+        near = difflib.get_close_matches(name, robots, n=1)
+        fail(
+            f'there is no robot "{name}"; '
+            + (f'did you mean "{near[0]}"?' if near else f"there are: {_listed(robots)}")
+        )
+    for line in explain(robots[name], time.time_ns() // 1000, terminal().width):
+        sys.stdout.write(f"{line}\n")
 
 
 async def _watch(url: str) -> None:
@@ -98,3 +123,7 @@ def _table(robots: list[RobotInfo], latest: dict[str, Sample], width: int) -> Re
 def _data(latest: dict[str, Sample], robot: str, group: str) -> object:
     sample = latest.get(f"{robot}/{group}")
     return None if sample is None else sample.data
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(names) or "none"

@@ -32,30 +32,30 @@ class Format(StrEnum):
     CSV = "csv"
 
 
+Topics = Annotated[
+    list[str] | None, typer.Argument(metavar="[TOPIC]...", help="Topic globs; default: '*/joints' '*/events'.")
+]
+Rate = Annotated[float, typer.Option(metavar="HZ", help="At most so many samples a second of each topic.")]
+All = Annotated[bool, typer.Option("--all", help="Every sample, whatever the rate.")]
+Fields = Annotated[
+    str | None, typer.Option(metavar="F,F…", help="Only these fields of the data, such as position,current.")
+]
+FormatOption = Annotated[Format, typer.Option("--format", "-f", help="table: for people; json, csv: a line a sample.")]
+Count = Annotated[int | None, typer.Option("--count", "-n", min=1, help="End after so many samples or events.")]
+Since = Annotated[
+    str | None, typer.Option(metavar="BOOT:SEQ", help="Events after this one first, as far as they are kept.")
+]
+
+
 def tail(
-    topics: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="[TOPIC]...", help="Topic globs; default: '*/joints' '*/events'."),
-    ] = None,
+    topics: Topics = None,
     *,
-    rate: Annotated[float, typer.Option(metavar="HZ", help="At most so many samples a second of each topic.")] = (
-        _DEFAULT_RATE_HZ
-    ),
-    every: Annotated[bool, typer.Option("--all", help="Every sample, whatever the rate.")] = False,
-    fields: Annotated[
-        str | None,
-        typer.Option(metavar="F,F…", help="Only these fields of the data, such as position,current."),
-    ] = None,
-    format_: Annotated[
-        Format, typer.Option("--format", "-f", help="table: for people; json, csv: a line a sample.")
-    ] = (Format.TABLE),
-    count: Annotated[
-        int | None, typer.Option("--count", "-n", min=1, help="End after so many samples or events.")
-    ] = None,
-    since: Annotated[
-        str | None,
-        typer.Option(metavar="BOOT:SEQ", help="Events after this one first, as far as they are kept."),
-    ] = None,
+    rate: Rate = _DEFAULT_RATE_HZ,
+    every: All = False,
+    fields: Fields = None,
+    format_: FormatOption = Format.TABLE,
+    count: Count = None,
+    since: Since = None,
     url: Url = DEFAULT_URL,
 ) -> None:
     """Follow live samples and events until Ctrl-C.

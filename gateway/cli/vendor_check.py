@@ -23,7 +23,8 @@ EX_CONFIG = 78
 USAGE = 2
 FAILURE = 1
 
-_COLOURS = {"passed": "green", "exempt": "yellow", "failed": "red"}
+_COLOURS = {"passed": "green", "does not apply": "blue", "exempt": "yellow", "failed": "red"}
+_COUNTED = {"does not apply": "did not apply"}
 _WIDTH = max(len(check.name) for check in CHECKS)
 _LINE = 78
 
@@ -38,10 +39,10 @@ def vendor_check(
 ) -> None:
     """Check a vendor's plugin: tables, vectors, framing, damage, polling, units, speed and its virtual controller.
 
-    Each check says what is wrong and what to do. A check is left out only by the plugin itself, with the reason, in
-    Vendor(exempt={"check": "reason"}).
+    Each check says what is wrong and what to do, or why it does not apply to a protocol of this kind. A check is left
+    out only by the plugin itself, with the reason, in Vendor(exempt={"check": "reason"}).
 
-    Exit codes: 0 all passed or exempt; 1 a check failed, or the plugin cannot be loaded; 2 no such plugin; 78 a folder
+    Exit codes: 0 no check failed; 1 a check failed, or the plugin cannot be loaded; 2 no such plugin; 78 a folder
     of plugins may not be used.
 
     Example: robot-gateway vendor-check rainbow
@@ -59,7 +60,7 @@ def vendor_check(
     logs.configure("error")  # the end-to-end check runs a gateway, whose log is not the question here
     outcomes = anyio.run(_report, found)
     counts = {result: sum(outcome.result == result for outcome in outcomes) for result in _COLOURS}
-    typer.echo(", ".join(f"{count} {result}" for result, count in counts.items()))
+    typer.echo(", ".join(f"{count} {_COUNTED.get(result, result)}" for result, count in counts.items()))
     if counts["failed"]:
         raise typer.Exit(FAILURE)
 

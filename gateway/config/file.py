@@ -120,7 +120,7 @@ def parse(text: str, file: str, registry: Registry | None = None, folder: Path =
     server = _server(problems, raw.get("server", {}))
     dirs = _vendor_dirs(problems, raw.get("vendor_dirs", []), folder)
     found = registry or _registry(problems, dirs)
-    robots = Robots(problems, found).read(raw.get("robots", []))
+    robots = Robots(problems, found, _listening(server)).read(raw.get("robots", []))
     problems.check()
     return Config(
         file=file,
@@ -159,6 +159,13 @@ def _server(problems: Problems, raw: object) -> Server:
             "only 127.0.0.1, [::1] and localhost may be used",
         )
     return server
+
+
+def _listening(server: Server) -> tuple[str, int]:
+    try:
+        return server.address
+    except ValueError:  # which is told already
+        return "", 0
 
 
 def _is_loopback(host: str) -> bool:

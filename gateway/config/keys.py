@@ -101,6 +101,14 @@ def split_listen(listen: str) -> tuple[str, int]:
     return host, port
 
 
+def canonical(host: str) -> str:
+    """A host so that two ways of writing the same one are equal."""
+    try:
+        return str(ipaddress.ip_address(host))
+    except ValueError:
+        return host.lower().rstrip(".")
+
+
 def host_fault(host: str) -> str | None:
     """Say why a text is no IPv4 address, IPv6 address or host name; None if it is one."""
     try:

@@ -24,6 +24,7 @@ Table = dict[str, object]
 
 _POSITION = re.compile(r"\(at line (\d+), column (\d+)\)$")
 _SHOWN = 60  # characters of a wrong value
+_BEGINNING = 2  # so many characters may be the beginning of a word
 _WIDEST = 128  # bits of a number that is shown; Python refuses to print the widest
 
 
@@ -94,9 +95,11 @@ def quoted(value: object) -> str:
 
 
 def nearest(word: str, words: Iterable[str]) -> str | None:
-    """The word that was probably meant."""
+    """The word that was probably meant: best one that begins alike."""
     known = {known.lower().replace("-", "_"): known for known in words}
-    found = difflib.get_close_matches(word.lower().replace("-", "_"), known, n=1)
+    plain = word.lower().replace("-", "_")
+    begun = [one for one in known if one.startswith(plain) or plain.startswith(one)] if len(plain) >= _BEGINNING else []
+    found = difflib.get_close_matches(plain, begun, n=1, cutoff=0) or difflib.get_close_matches(plain, known, n=1)
     return known[found[0]] if found else None
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import ipaddress
 from typing import TYPE_CHECKING
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import msgspec
 
 from gateway.api.vendor import Vendor
-from gateway.config.keys import STALE_PERIODS, RobotTable, host_fault
+from gateway.config.keys import STALE_PERIODS, RobotTable, canonical, host_fault
 from gateway.config.problems import hint, quoted, read_fields
 from gateway.core.registry import Registry
 from gateway.core.settings import BrokenRobot, RobotSettings
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
     from gateway.config.problems import Problems, Table
     from gateway.config.toml_lines import Path
 
+_THIS_MACHINE = {"localhost", "127.0.0.1", "::1"}  # a listener on localhost has both addresses
 _KEYS = tuple(field.encode_name for field in msgspec.structs.fields(RobotTable))
 
 
@@ -29,10 +29,12 @@ class Robots:
     Args:
         problems: Where what is wrong is noted.
         registry: Finds the plugins; None where `vendor_dirs` are wrong, so that not all of them can be known.
+        listen: Host and port of the gateway's own listener.
     """
 
-    def __init__(self, problems: Problems, registry: Registry | None) -> None:
+    def __init__(self, problems: Problems, registry: Registry | None, listen: tuple[str, int]) -> None:
         self._problems = problems
+        self._listen = listen
         self._complete = registry is not None
         self._registry = registry or Registry()
         self._names: dict[str, Path] = {}
@@ -144,7 +146,9 @@ class Robots:
         port = port if isinstance(port, int) else protocol.port_of(options or protocol.options())
         host = values.get("host")
         if isinstance(host, str):
-            address = (_canonical(host), port)
+            address = (canonical(host), port)
+            if protocol.transport(options or protocol.options()) == "tcp":
+                self._refuse_listener(path, address)
             if address in self._addresses:
                 name, first = self._addresses[address]
                 line = self._problems.line((*first, "host"))
@@ -152,6 +156,14 @@ class Robots:
                 self._problems.add((*path, "host"), told)
             self._addresses.setdefault(address, (quoted(values.get("name", "")), path))
         return port
+
+    def _refuse_listener(self, path: Path, address: tuple[str, int]) -> None:
+        """The gateway cannot be its own controller."""
+        (host, port), mine = address, canonical(self._listen[0])
+        same = host == mine or ("localhost" in {host, mine} and {host, mine} <= _THIS_MACHINE)
+        if same and port == self._listen[1]:
+            told = f"{host} port {port} is where the gateway itself listens (server.listen): correct one of them"
+            self._problems.add((*path, "host"), told)
 
     def _clock_zone(self, path: Path, values: Table, protocol: Protocol) -> ZoneInfo | None:
         given = values.get("clock_zone")
@@ -212,10 +224,3 @@ def _options_of(protocol: Protocol) -> dict[str, str]:
     """What to say of an option that stands among the robot's keys."""
     told = f"is an option of the protocol: put it below [robots.{protocol.name}]"
     return {field.encode_name: told for field in msgspec.structs.fields(protocol.options) if field.name not in _KEYS}
-
-
-def _canonical(host: str) -> str:
-    try:
-        return str(ipaddress.ip_address(host))
-    except ValueError:
-        return host.lower().rstrip(".")

@@ -199,7 +199,7 @@ class Link:
     def _notes(self) -> list[str]:
         """What the decoder has to tell; a plugin that cannot even tell it stops nothing."""
         with contextlib.suppress(Exception):
-            return [] if self._decoder is None else list(self._decoder.notes)
+            return [] if self._decoder is None else [str(note) for note in self._decoder.notes]
         return []
 
     def _lost(self, state: LinkState, reason: str, delay_s: float | None = None, notes: Sequence[str] = ()) -> float:

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 PACKAGE = "vendors"
 ENTRY_POINTS = "robot_gateway.vendors"
 BUILT_IN = "built in"
+_SYSTEM_PARTS = 2  # / and what stands right below it belong to the system
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +167,11 @@ def unsafe(path: Path) -> list[str]:
         return [f"{path}: {'is no folder' if path.exists() else 'does not exist'}"]
     if (path / "__init__.py").exists():
         return [f"{path}: is itself a plugin; name the folder that it stands in, {path.parent}"]
+    mode = path.stat().st_mode
+    if mode & (stat.S_IWGRP | stat.S_IWOTH) and (mode & stat.S_ISVTX or len(path.parts) <= _SYSTEM_PARTS):
+        return [
+            f"{path}: belongs to everybody on this machine; put the plugins into a folder of their own, and name that"
+        ]
     try:
         plugins = [folder for _, folder in _plugins(path)]
         parts = [path, *plugins, *(part for folder in plugins for part in sorted(folder.rglob("*")))]

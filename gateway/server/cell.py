@@ -9,11 +9,12 @@ from typing import cast
 from gateway.api.describe import describe, group_schema
 from gateway.api.messages import Description, RobotInfo
 from gateway.api.model import GROUPS, Link, LinkStats, Sample
-from gateway.api.signals import keys_of
 from gateway.core.bus import Bus, Topic
 from gateway.core.settings import BrokenRobot, RobotSettings
+from gateway.server.fields import LEAF, Shape, has, nearest, shape_of, vendor_shape
+from gateway.server.wire import Encoding, sound_sample
 
-_NAMED = 8  # so many globs an error repeats
+_NAMED = 8  # so many globs or fields an error repeats
 
 
 class Cell:
@@ -27,10 +28,11 @@ class Cell:
     def __init__(self, robots: Iterable[RobotSettings | BrokenRobot], bus: Bus) -> None:
         self.robots = {robot.name: robot for robot in robots}
         self.bus = bus
+        self._vendor_shapes: dict[int, Shape] = {}  # by the protocol's identity
 
-    def latest(self, topics: Iterable[Topic]) -> list[Sample]:
-        """The latest samples of some topics."""
-        return [topic.latest.sample(topic) for topic in topics if topic.latest is not None]
+    def latest(self, topics: Iterable[Topic], encoding: Encoding) -> list[Sample]:
+        """The latest samples of some topics, all of which can be encoded."""
+        return [sound_sample(encoding, topic, topic.latest) for topic in topics if topic.latest is not None]
 
     def infos(self) -> list[RobotInfo]:
         """Every robot with the state of its link."""
@@ -49,21 +51,33 @@ class Cell:
         """Say what to do about globs that match nothing."""
         near = difflib.get_close_matches(patterns[0], self.bus.topics, n=1)
         hint = f'did you mean "{near[0]}"?' if near else f"topics look like {next(iter(self.bus.topics), 'r1/joints')}"
-        named = ", ".join(patterns[:_NAMED]) + (f" and {len(patterns) - _NAMED} more" if len(patterns) > _NAMED else "")
-        return f"no topic matches {named}; {hint}"
+        return f"no topic matches {_listed(patterns)}; {hint}"
 
-    def unknown_fields(self, topics: Iterable[Topic], fields: Iterable[str]) -> list[str]:
-        """The fields that none of some topics has."""
-        known = {key for topic in topics for key in self._keys(topic)}
-        return [field for field in fields if not any(field == key or field.startswith(f"{key}.") for key in known)]
+    def unknown_fields(self, topics: Iterable[Topic], fields: Iterable[str]) -> str | None:
+        """Say what to do about fields that none of some topics has; None: there are none."""
+        shapes = list({id(shape): shape for topic in topics for shape in self._shapes(topic)}.values())
+        unknown = [field for field in fields if not any(has(shape, field.split(".")) for shape in shapes)]
+        if not unknown:
+            return None
+        near = nearest(unknown[0], shapes)
+        hint = f'did you mean "{near}"?' if near else "ask describe for the fields"
+        return f"no matched topic has {_listed(unknown)}; {hint}"
 
-    def _keys(self, topic: Topic) -> list[str]:
-        struct = GROUPS[topic.group.name].struct
-        if struct is not None:
-            return keys_of(struct)
+    def _shapes(self, topic: Topic) -> list[Shape]:
+        """The paths that a topic may have: by its tables, and what its robot was asked for besides."""
+        if topic.group.delivery == "event":
+            return []
         robot = self.robots[topic.robot]
-        layouts = () if isinstance(robot, BrokenRobot) else robot.protocol.layouts
-        return [field.name for layout in layouts for field in layout.fields]
+        if topic.group.struct is not None:
+            return [shape_of(topic.group.struct)]
+        if isinstance(robot, BrokenRobot):
+            return []
+        protocol = robot.protocol
+        found = self._vendor_shapes.get(id(protocol))
+        if found is None:
+            found = self._vendor_shapes[id(protocol)] = vendor_shape(protocol.layouts)
+        told = self._data(topic)
+        return [found, dict.fromkeys(set(told) - set(found), LEAF)] if isinstance(told, dict) else [found]
 
     def _info(self, name: str) -> RobotInfo:
         robot = self.robots[name]
@@ -84,3 +98,7 @@ class Cell:
     @staticmethod
     def _data(topic: Topic | None) -> object:
         return None if topic is None or topic.latest is None else topic.latest.sample(topic).data
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")

@@ -19,7 +19,7 @@ class Inbox(Protocol):
     """Readings on their way to one client.
 
     Attributes:
-        due_s: Monotonic time when the first of them is due; infinite while there is none.
+        due_s: Monotonic time when the first of them is due, at once for an urgent one; infinite while there is none.
     """
 
     due_s: float
@@ -54,6 +54,8 @@ class Newest:
         elif self._missed is not None and topic in self._readings:
             self._missed[topic.name] += 1
         self._readings[topic] = reading
+        if reading.urgent:
+            self.due_s = now_s
 
     def take(self, now_s: float) -> list[tuple[Topic, Reading]]:
         """Give out what is due now."""
@@ -89,6 +91,8 @@ class Every:
         if len(self._readings) > self._bound:
             lost, _ = self._readings.popleft()
             self._missed[lost.name] += 1
+        if reading.urgent:
+            self.due_s = now_s
 
     def take(self, now_s: float) -> list[tuple[Topic, Reading]]:
         """Give out what is due now."""
@@ -108,13 +112,14 @@ class _Waiting:
     due: int
     newest: int
     passed: int = 0
+    urgent: bool = False
 
 
 class Rated:
     """The newest reading of each topic in the slots of a fixed rate: exact over any time, and the last one comes.
 
-    A client that could not be written to when a slot was due gets the newest reading late; only whole slots that it
-    lost by that are missed.
+    An urgent reading waits for no slot, and takes none. A client that could not be written to when a slot was due gets
+    the newest reading late; only whole slots that it lost by that are missed.
 
     Args:
         period_s: Time between two slots.
@@ -135,22 +140,25 @@ class Rated:
         slot = max(math.floor((now_s - self._start_s) / self._period_s), self._taken) + 1
         waiting = self._waiting.get(topic)
         if waiting is None:
-            self._waiting[topic] = _Waiting(reading, slot, slot)
+            waiting = self._waiting[topic] = _Waiting(reading, slot, slot)
             self.due_s = min(self.due_s, self._time_s(slot))
-            return
         waiting.reading = reading
         if slot > waiting.newest:
             waiting.newest = slot
             waiting.passed += 1
+        if reading.urgent:
+            waiting.urgent = True
+            self.due_s = min(self.due_s, now_s)
 
     def take(self, now_s: float) -> list[tuple[Topic, Reading]]:
         """Give out what is due now."""
         if now_s < self.due_s:
             return []
-        due = {topic: one for topic, one in self._waiting.items() if self._time_s(one.due) <= now_s}
+        due = {topic: one for topic, one in self._waiting.items() if one.urgent or self._time_s(one.due) <= now_s}
         for topic, one in due.items():
             del self._waiting[topic]
-            self._taken = max(self._taken, one.due)
+            if self._time_s(one.due) <= now_s:
+                self._taken = max(self._taken, one.due)
             served = one.passed + (self._time_s(one.newest) <= now_s)
             if served > 1:
                 self._missed[topic.name] += served - 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -29,6 +30,7 @@ _UNREAD_ANSWERS = 1 << 20
 _CLOSE_S = 1.0
 _HEARTBEAT_S = 30.0
 _STOPPING = "the gateway is stopping"
+_URL_PARAMETERS = ("topics", "rate_hz", "mode", "fields", "since")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,6 +79,9 @@ async def websocket(request: web.Request) -> web.StreamResponse:
     log.debug("subscriber.connected")
     try:
         await client.serve(asked)
+    except Exception:
+        log.exception("subscriber.failed")
+        await client.close(WSCloseCode.INTERNAL_ERROR, "internal error, see the gateway's log")
     finally:
         request.app[CLIENTS].discard(client)
         if client.sent_away in {None, _STOPPING}:
@@ -216,10 +221,24 @@ class Client:
         self._outbox.wake_by(time.monotonic())
 
 
+def _query_fault(names: Sequence[str]) -> str | None:
+    """Say what is wrong with the names of a URL's parameters; None: nothing."""
+    unknown = [name for name in names if name not in _URL_PARAMETERS]
+    if unknown:
+        return f"unknown: {', '.join(dict.fromkeys(unknown))}; allowed are {', '.join(_URL_PARAMETERS)}"
+    twice = [name for name in dict.fromkeys(names) if names.count(name) > 1]
+    if twice:
+        return f"more than once: {', '.join(twice)}; several topics or fields stand in one, with commas"
+    return f"{', '.join(names)} without topics, such as topics=*/joints" if names and "topics" not in names else None
+
+
 def _url_subscription(request: web.Request) -> messages.Subscribe | None:
     """The subscription that a URL asks for: `/ws?topics=*/joints&rate_hz=30`."""
     query = request.query
-    if "topics" not in query:
+    fault = _query_fault([name for name, _ in query.items()])
+    if fault:
+        raise web.HTTPBadRequest(text=f"URL parameters: {fault}\n")
+    if not query:
         return None
     wish: dict[str, object] = {"op": "subscribe", "id": "url", "topics": query["topics"].split(",")}
     wish.update({key: query[key] for key in ("rate_hz", "mode", "since") if key in query})

@@ -47,15 +47,11 @@ def decode(encoding: Encoding, data: bytes) -> messages.Request:
 
 
 def id_of(encoding: Encoding, data: bytes) -> int | str | None:
-    """Find the id of a message that is no request, so that the client knows which one was refused."""
-    if len(data) > messages.MAX_MESSAGE_BYTES:
-        return None
+    """Find the id of a message that is no request or too large, so that the client knows which one was refused."""
     try:
-        found = encoding.decode_any(data)
+        return encoding.decode_id(data).id
     except (msgspec.DecodeError, UnicodeError, RecursionError):
         return None
-    name = found.get("id") if isinstance(found, dict) else None
-    return name if isinstance(name, (int, str)) and not isinstance(name, bool) else None
 
 
 class Requests:
@@ -111,7 +107,7 @@ class Requests:
         return messages.Result(id=request.id)
 
     def _get(self, request: messages.Get) -> messages.Result:
-        return messages.Result(id=request.id, samples=self._cell.latest(self._matched(request.topics)))
+        return messages.Result(id=request.id, samples=self._cell.latest(self._matched(request.topics), self._encoding))
 
     def _events(self, request: messages.Events) -> messages.Result:
         events, missed = self._read_back(request.since, request.limit, self._matched(request.topics))
@@ -140,8 +136,8 @@ class Requests:
     def _paths(self, topics: list[Topic], fields: list[str]) -> tuple[tuple[str, ...], ...]:
         _check_names("field", fields)
         unknown = self._cell.unknown_fields(topics, fields)
-        if unknown:
-            raise BadRequest("UNKNOWN_FIELD", f"no matched topic has {', '.join(unknown)}; ask describe for the fields")
+        if unknown is not None:
+            raise BadRequest("UNKNOWN_FIELD", unknown)
         return tuple(tuple(field.split(".")) for field in dict.fromkeys(fields))
 
     def _read_back(self, since: str | None, limit: int, topics: list[Topic]) -> tuple[list[Event], int | None]:

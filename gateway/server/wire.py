@@ -9,11 +9,17 @@ from typing import Protocol
 
 import msgspec
 
-from gateway.api.messages import JSON_SUBPROTOCOL, MSGPACK_SUBPROTOCOL, Request, Response
-from gateway.api.model import Event
+from gateway.api.messages import JSON_SUBPROTOCOL, MSGPACK_SUBPROTOCOL, Id, Request, Response, Result
+from gateway.api.model import Event, Sample
 from gateway.core.bus import Reading, Topic
 
 Fields = tuple[tuple[str, ...], ...]  # dotted paths, taken apart
+
+
+class Named(msgspec.Struct):
+    """Of any message, its id: the rest is passed over without being built."""
+
+    id: Id | None = None
 
 
 class Encoding(Protocol):
@@ -34,8 +40,12 @@ class Encoding(Protocol):
         """
         ...
 
-    def decode_any(self, message: bytes | str) -> object:
-        """Decode any value, to find the id of a request that is wrong."""
+    def decode_id(self, message: bytes | str) -> Named:
+        """Find the id of a request that is wrong.
+
+        Raises:
+            msgspec.DecodeError: It is no object, or its id is none.
+        """
         ...
 
     def list_message(self, op: str, key: str, items: Sequence[bytes]) -> bytes:
@@ -52,7 +62,7 @@ class Json:
     def __init__(self) -> None:
         self.encode = msgspec.json.Encoder().encode
         self.decode = msgspec.json.Decoder(Request).decode
-        self.decode_any = msgspec.json.Decoder().decode
+        self.decode_id = msgspec.json.Decoder(Named).decode
 
     def list_message(self, op: str, key: str, items: Sequence[bytes]) -> bytes:
         """Join encoded items to one message."""
@@ -68,15 +78,15 @@ class MsgPack:
     def __init__(self) -> None:
         self.encode = msgspec.msgpack.Encoder().encode
         self._requests: msgspec.msgpack.Decoder[Request] = msgspec.msgpack.Decoder(Request)
-        self._any = msgspec.msgpack.Decoder()
+        self._named = msgspec.msgpack.Decoder(Named)
 
     def decode(self, message: bytes | str) -> Request:
         """Decode a request."""
         return self._requests.decode(_as_bytes(message))
 
-    def decode_any(self, message: bytes | str) -> object:
-        """Decode any value."""
-        return self._any.decode(_as_bytes(message))
+    def decode_id(self, message: bytes | str) -> Named:
+        """Find the id."""
+        return self._named.decode(_as_bytes(message))
 
     def list_message(self, op: str, key: str, items: Sequence[bytes]) -> bytes:
         """Join encoded items to one message: a map of two with an array of 32-bit length."""
@@ -106,11 +116,27 @@ class Cut:
         key = (topic.group.name, self.fields, self.encoding.name)
         found = reading.encoded.get(key)
         if found is None:
-            sample = reading.sample(topic)
-            if self.fields is not None:
-                sample = msgspec.structs.replace(sample, data=project(sample.data, self.fields))
-            found = reading.encoded[key] = self.encoding.encode(sample)
+            try:
+                found = self._encode(reading.sample(topic))
+            except Exception as error:  # noqa: BLE001 - a plugin's wrong type costs its group, not the clients
+                found = self._encode(reading.broken(topic, error))
+            reading.encoded[key] = found
         return found
+
+    def _encode(self, sample: Sample) -> bytes:
+        if self.fields is not None:
+            sample = msgspec.structs.replace(sample, data=project(sample.data, self.fields))
+        return self.encoding.encode(sample)
+
+
+def sound_sample(encoding: Encoding, topic: Topic, reading: Reading) -> Sample:
+    """What a reading says of a topic, or the empty sample in the place of one that cannot be encoded."""
+    sample = reading.sample(topic)
+    try:
+        encoding.encode(sample)
+    except Exception as error:  # noqa: BLE001 - as above
+        return reading.broken(topic, error)
+    return sample
 
 
 def project(data: object, fields: Fields) -> dict[str, object]:
@@ -135,12 +161,26 @@ def project(data: object, fields: Fields) -> dict[str, object]:
 
 def encode_events(encoding: Encoding, events: Sequence[Event]) -> bytes:
     """One message with some events."""
-    return encoding.list_message("event", "events", [encoding.encode(event) for event in events])
+    return encoding.list_message("event", "events", [_encode_event(encoding, event) for event in events])
 
 
 def encode_response(encoding: Encoding, message: Response) -> bytes:
     """One message of the gateway."""
-    return encoding.encode(message)
+    try:
+        return encoding.encode(message)
+    except Exception:
+        if not isinstance(message, Result) or not message.events:
+            raise
+        events = [msgspec.Raw(_encode_event(encoding, event)) for event in message.events]
+        return encoding.encode(msgspec.structs.replace(message, events=events))
+
+
+def _encode_event(encoding: Encoding, event: Event) -> bytes:
+    """Encode an event; its values are left out where a plugin's cannot be encoded, which their group reports."""
+    try:
+        return encoding.encode(event)
+    except Exception:  # noqa: BLE001 - a plugin's wrong type costs its values, not the clients
+        return encoding.encode(msgspec.structs.replace(event, before=None, after=None, raw={}))
 
 
 def _find(data: object, path: Sequence[str]) -> tuple[bool, object]:

@@ -23,7 +23,7 @@ _FAULTS = {
     "checksum": ("RATE", "the last two bytes are wrong"),
     "tail": ("RATE", "the last bytes are missing"),
     "delay": ("RATE/SECONDS", "late by so many seconds"),
-    "stall": ("SECONDS/EVERY", "silence for so long in every so many; then what was asked is answered"),
+    "stall": ("SECONDS/EVERY", "silence for so long in every so many, then answers"),
     "cut": ("EVERY", "the connection is closed after so many"),
 }
 _TIMED = {"delay": 2, "stall": 2}

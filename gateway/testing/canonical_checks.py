@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import msgspec
 
@@ -15,8 +15,8 @@ from gateway.api.model import FRAME_GROUPS, GROUPS
 from gateway.api.normaliser import Normaliser
 from gateway.api.signals import Signal, find_source
 from gateway.testing.readings import Plain, leaves, plain, read_group, tells, value_at
-from gateway.testing.streams import DAMAGES, damaged
-from gateway.testing.subject import CheckFailed, Subject
+from gateway.testing.streams import BITS, damaged
+from gateway.testing.subject import CheckFailed, DoesNotApply, Subject
 from gateway.testing.vector_checks import the_frame
 from gateway.testing.vectors import Vector
 
@@ -42,11 +42,16 @@ def canonical_groups_fit_the_model(subject: Subject) -> None:
 
 
 def nothing_is_told_that_is_not_finite(subject: Subject) -> None:
-    """NaN and infinity in any word of any vector make null of what follows from it, and nothing else, and q BAD."""
+    """NaN and infinity in any word of any vector make null of what follows from it, and nothing else, and q BAD.
+
+    NaN in every word, both infinities in the first of each field.
+    """
+    if not any(field.is_float for layout in subject.protocol.layouts for field in layout.fields):
+        raise DoesNotApply("no table has a floating-point field")
     for vector, frame, normaliser in _frames(subject):
-        groups = (*_canonical(normaliser), "vendor")
-        clean = {group: dict(leaves(read_group(normaliser, group, frame).data)) for group in groups}
+        clean = {group: read_group(normaliser, group, frame).data for group in (*_canonical(normaliser), "vendor")}
         for field in frame.layout.fields:
+            rows = [row for row in normaliser.signals if _uses(row, frame.layout, field.name)]
             for index in range(field.present if field.is_float else 0):
                 at = frame.start + field.offset + index * field.item_size
                 for value in (math.nan, math.inf, -math.inf) if index == 0 else (math.nan,):
@@ -55,11 +60,13 @@ def nothing_is_told_that_is_not_finite(subject: Subject) -> None:
                     struct.pack_into(code, raw, at, value)
                     hurt = Frame(bytes(raw), frame.layout, frame.start, frame.quality)
                     where = f"{vector} with {value} in {field.name}[{index}]"
-                    _check_nulls(normaliser, hurt, field.name, clean, where)
+                    _check_nulls(normaliser, hurt, rows, clean, where)
 
 
 def cut_off_is_null(subject: Subject) -> None:
     """What a shorter frame does not carry is null, also inside an array, and never 0."""
+    if all(field.present == field.elements for layout in subject.protocol.layouts for field in layout.fields):
+        raise DoesNotApply("every table is whole: there are no shorter frames")
     for vector, frame, normaliser in _frames(subject):
         vendor = read_group(normaliser, "vendor", frame).data
         for field in frame.layout.fields:
@@ -75,7 +82,12 @@ def cut_off_is_null(subject: Subject) -> None:
 
 
 def keys_follow_values(subject: Subject) -> None:
-    """A state group's key changes with every bit that the group follows from, and with no other."""
+    """A state group's key changes with every bit that the group follows from, and with no other.
+
+    Each byte once, all its bits; each bit by itself where a group follows from some bits of the byte.
+    """
+    if all(GROUPS[group].delivery != "state" for group in _canonical(subject.normaliser())):
+        raise DoesNotApply("no row fills a state group")
     for vector, frame, normaliser in _frames(subject):
         for group in _canonical(normaliser):
             if GROUPS[group].delivery != "state":
@@ -84,9 +96,9 @@ def keys_follow_values(subject: Subject) -> None:
             before, data = reader.key(frame.raw, frame.start), _steady(normaliser, group, frame)
             watched = _watched(subject, group, frame.layout)
             for at in range(frame.layout.size):
-                for damage in DAMAGES:
+                for damage in (0xFF,) if watched[at] in {0, 0xFF} else BITS:
                     hurt = Frame(damaged(frame.raw, frame.start + at, damage), frame.layout, frame.start, frame.quality)
-                    follows = bool((hurt.raw[frame.start + at] ^ frame.raw[frame.start + at]) & watched[at])
+                    follows = bool(damage & watched[at])
                     same = reader.key(hurt.raw, hurt.start) == before
                     if same == follows:
                         verb = "does not change" if same else "changes"
@@ -165,20 +177,33 @@ def _check_shapes(group: str, data: Plain, where: str) -> None:
         raise CheckFailed(f"{where}.speed_override is {override}: give 0 to 1")
 
 
-def _check_nulls(normaliser: Normaliser, hurt: Frame, source: str, clean: Mapping[str, Plain], where: str) -> None:
-    for group, was in clean.items():
-        rows = [row for row in normaliser.signals if row.group == group and _uses(row, hurt.layout, source)]
+def _check_nulls(
+    normaliser: Normaliser, hurt: Frame, naming: Sequence[Signal], clean: Mapping[str, Plain], where: str
+) -> None:
+    """Check every group of a frame that holds a value that is not finite.
+
+    Args:
+        normaliser: Reads it.
+        hurt: The frame.
+        naming: The rows that name the field of that value.
+        clean: The groups of the frame as it was.
+        where: What was done to the frame.
+    """
+    for group, before in clean.items():
+        rows = [row for row in naming if row.group == group]
         reading = read_group(normaliser, group, hurt)
         if (rows or group == "vendor") and not reading.bad:
             raise CheckFailed(f"{where}: {group} is not flagged BAD: return True with a group that held it")
-        now = dict(leaves(reading.data))
+        differing = [name for name, value in reading.data.items() if value != before.get(name)]
+        now = dict(leaves({name: reading.data[name] for name in differing}))
+        was = dict(leaves({name: before.get(name) for name in differing}))
         wrong = [name for name, value in now.items() if isinstance(value, float) and not math.isfinite(value)]
         if not any(row.partial for row in rows):
             wrong += [name for name in was.keys() & now.keys() if was[name] != now[name] and now[name] is not None]
         if wrong:
             raise CheckFailed(f"{where}: {group}.{wrong[0]} is {now[wrong[0]]!r}: make it null")
-        if not rows and group != "vendor" and now != was:
-            raise CheckFailed(f"{where}: {group} changes, though no row of it names {source}")
+        if not rows and group != "vendor" and differing:
+            raise CheckFailed(f"{where}: {group} changes, though no row of it names the field")
 
 
 def _check_cut(row: Signal, layout: Layout, value: object, where: str) -> None:

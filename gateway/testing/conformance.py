@@ -2,8 +2,8 @@
 
     async for outcome in run(subjects(registry, "rainbow")): ...
 
-A check takes a `Subject` and raises `CheckFailed`; it may be a coroutine. One is left out only by the plugin itself,
-with `Vendor(exempt={"check": "reason"})`.
+A check takes a `Subject` and raises `CheckFailed`, or `DoesNotApply` where a protocol of this kind has nothing to look
+at; it may be a coroutine. One is left out only by the plugin itself, with `Vendor(exempt={"check": "reason"})`.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from gateway.testing import (
     table_checks,
     vector_checks,
 )
-from gateway.testing.subject import CheckFailed, Subject
+from gateway.testing.subject import CheckFailed, DoesNotApply, Subject
 
-Result = Literal["passed", "exempt", "failed"]
+Result = Literal["passed", "does not apply", "exempt", "failed"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class Check:
     @property
     def text(self) -> str:
         """What it checks, in one sentence."""
-        return (self.run.__doc__ or "").strip()
+        return (self.run.__doc__ or "").strip().partition("\n")[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ class Outcome:
     """What a check said of a protocol.
 
     Attributes:
-        message: Why it is exempt, or what is wrong and what to do.
+        message: Why it does not apply or is exempt, or what is wrong and what to do.
     """
 
     subject: Subject
@@ -115,7 +115,7 @@ def subjects(registry: Registry, name: str) -> tuple[Subject, ...]:
 
 
 async def perform(check: Check, subject: Subject) -> Outcome:
-    """Run one check, or leave it out where the plugin says why it must be."""
+    """Run one check, unless the plugin says why it must be left out."""
     unknown = set(subject.vendor.exempt) - {one.name for one in CHECKS}
     if unknown and check is CHECKS[0]:
         return Outcome(
@@ -127,6 +127,8 @@ async def perform(check: Check, subject: Subject) -> Outcome:
         waiting = check.run(subject)
         if inspect.isawaitable(waiting):
             await waiting
+    except DoesNotApply as reason:
+        return Outcome(subject, check, "does not apply", str(reason))
     except CheckFailed as failure:
         return Outcome(subject, check, "failed", str(failure))
     except Exception as error:  # noqa: BLE001 - whatever a plugin raises is the author's to see, and no reason to stop

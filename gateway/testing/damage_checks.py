@@ -3,6 +3,9 @@
 With a checksum damage is never delivered. Without one, damage in a value leaves every boundary and every other value;
 damage in the bytes that say where a frame begins and ends costs at most the largest frame, and nothing is delivered
 that mixes two frames.
+
+Every byte of every different vector is damaged; in how many ways depends on what could go wrong with it, and each check
+says so.
 """
 
 from __future__ import annotations
@@ -12,8 +15,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from gateway.api.decoder import Frame
 from gateway.api.layout import Field, Layout
 from gateway.testing.readings import Plain, read_group
-from gateway.testing.streams import DAMAGES, Placed, check_conserved, damaged, feed_all, placed, structure
-from gateway.testing.subject import CheckFailed, Subject
+from gateway.testing.streams import BITS, DAMAGES, Placed, check_conserved, damaged, feed_all, placed, structure
+from gateway.testing.subject import CheckFailed, DoesNotApply, Subject
 from gateway.testing.vector_checks import the_frame
 from gateway.testing.vectors import Vector
 
@@ -21,9 +24,12 @@ _Place = tuple[int, int]  # offset of a byte, and its changed bits
 
 
 def damaged_values_move_nothing(subject: Subject) -> None:
-    """Without a checksum, damage in a value leaves every boundary: all frames come, the damaged one too."""
+    """Without a checksum, damage in a value leaves every boundary: all frames come, the damaged one too.
+
+    Each byte in four ways, inside a stream and at its beginning: nothing but the boundaries can show it.
+    """
     if subject.protocol.framing.checksum is not None:
-        return
+        raise DoesNotApply("the frames have a checksum: damage_never_passes looks at them")
     for vector, good in _different(subject):
         values = sorted(set(range(len(vector.raw))) - structure(subject.protocol.framing, vector.raw))
         before = good.raw if len(good.raw) == len(vector.raw) or not subject.protocol.framing.one_length else b""
@@ -40,38 +46,54 @@ def damaged_values_move_nothing(subject: Subject) -> None:
 
 
 def damaged_values_stay_alone(subject: Subject) -> None:
-    """Damage in a byte changes the field, the element and the bits that stand there, and nothing else."""
-    for vector in subject.states:
+    """Damage in a byte changes the field, the element and the bits that stand there, and nothing else.
+
+    Each byte once, all its bits; where it belongs to flags, each bit by itself too.
+    """
+    for vector in (vector for session in subject.sessions for vector in session):
         frame = the_frame(subject, vector)
-        if frame is None or vector.raw not in {one.raw for session in subject.sessions for one in session}:
+        if frame is None:
             continue
+        flagged = _flagged(frame.layout)
         normaliser = subject.normaliser(vector.options)
         before = read_group(normaliser, "vendor", frame).data
         for at in range(frame.layout.size):
-            for damage in DAMAGES:
+            for damage in (0xFF, *BITS) if at in flagged else (0xFF,):
                 hurt = damaged(frame.raw, frame.start + at, damage)
                 after = read_group(normaliser, "vendor", Frame(hurt, frame.layout, frame.start)).data
-                changed = hurt[frame.start + at] ^ frame.raw[frame.start + at]
-                _check_alone(str(vector), frame.layout, (at, changed), before, after)
+                _check_alone(str(vector), frame.layout, (at, damage), before, after)
 
 
 def damaged_headers_cost_little(subject: Subject) -> None:
-    """Damage where a frame begins and ends costs at most the largest frame, and the next whole good frame is found."""
+    """Damage where a frame begins and ends costs at most the largest frame, and the next whole good frame is found.
+
+    In the header every other value of each byte; behind the payload, where a value can only be right or wrong, four.
+    """
+    framing = subject.protocol.framing
     for vector, good in _different(subject):
-        for at in sorted(structure(subject.protocol.framing, vector.raw)):
-            for byte in set(range(256)) - {vector.raw[at]}:
-                hurt = vector.raw[:at] + bytes((byte,)) + vector.raw[at + 1 :]
-                _check_header(subject, vector, hurt, good, at)
+        for at in sorted(structure(framing, vector.raw)):
+            if at < framing.header:
+                hurts = [vector.raw[:at] + bytes((byte,)) + vector.raw[at + 1 :] for byte in range(256)]
+            else:
+                hurts = [damaged(vector.raw, at, damage) for damage in DAMAGES]
+            for hurt in hurts:
+                if hurt != vector.raw:
+                    _check_header(subject, vector, hurt, good, at)
 
 
 def damage_never_passes(subject: Subject) -> None:
-    """With a checksum, no damaged frame is delivered, and no other frame is lost to damage in a value."""
+    """With a checksum, no damaged frame is delivered, and no other frame is lost to damage in a value.
+
+    Each byte in one of four ways in turn: a checksum that covers a byte shows any change of it, and whether a frame is
+    delivered is told by its bytes alone.
+    """
     framing = subject.protocol.framing
     if framing.checksum is None:
-        return
+        raise DoesNotApply("the frames have no checksum: damaged_values_move_nothing looks at them")
     for vector, good in _different(subject):
         values = sorted(set(range(len(vector.raw))) - structure(framing, vector.raw))
-        for at, damage in _every(values):
+        for at in values:
+            damage = DAMAGES[at % len(DAMAGES)]
             stream = good.raw + damaged(vector.raw, at, damage) + good.raw * 2
             found = [event.raw for event in subject.protocol.reader().feed(stream) if isinstance(event, Frame)]
             if found != [good.raw] * 3:
@@ -151,6 +173,12 @@ def _check_alone(where: str, layout: Layout, place: _Place, before: Plain, after
                 )
             if isinstance(a, dict) and isinstance(b, dict):
                 _check_bits(field, _in_word(field, layout, at - first, changed), a, b)
+
+
+def _flagged(layout: Layout) -> set[int]:
+    """The bytes that belong to flags."""
+    fields = [field for field in layout.fields if field.flags]
+    return {at for field in fields for at in range(field.offset, field.offset + field.present * field.item_size)}
 
 
 def _in_word(field: Field, layout: Layout, byte: int, changed: int) -> int:

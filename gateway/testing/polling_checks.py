@@ -12,10 +12,11 @@ from msgspec import inspect
 from gateway.api.decoder import Decoder, Event, Frame, Refused, Reject
 from gateway.api.model import Quality
 from gateway.testing.streams import frames
-from gateway.testing.subject import CheckFailed, Subject
+from gateway.testing.subject import CheckFailed, DoesNotApply, Subject
 
 _PATIENCE = 200  # ticks: more than any grace that a decoder may grant
 _WALK = 3_000  # random steps of a session
+_PUSHED = "the controller pushes its frames and answers no requests"
 
 
 def only_allowed_bytes_are_sent(subject: Subject) -> None:
@@ -37,7 +38,9 @@ def one_request_is_outstanding(subject: Subject) -> None:
     """A polled decoder sends the next request only after the answer to the last; a pushed one never asks."""
     decoder, answer = _session(subject), subject.sessions[0][0].raw
     if subject.protocol.request is None:
-        if any(decoder.tick() and not subject.protocol.outgoing for _ in range(_PATIENCE)):
+        if subject.protocol.outgoing:
+            raise DoesNotApply(f"{_PUSHED}, and what it sends is a handshake: only_allowed_bytes_are_sent looks at it")
+        if any(decoder.tick() for _ in range(_PATIENCE)):
             raise CheckFailed("a protocol that pushes asks for frames: state its request, or send nothing")
         return
     _expect_request(decoder, "first")
@@ -58,8 +61,9 @@ def one_request_is_outstanding(subject: Subject) -> None:
 
 def skipped_frames_answer_nothing(subject: Subject) -> None:
     """A known frame without state answers no request and changes no frame."""
-    if subject.protocol.request is None:
-        return
+    _needs_requests(subject)
+    if not subject.skipped:
+        raise DoesNotApply("every frame of the protocol carries state")
     answer = subject.sessions[0][0].raw
     for vector in subject.skipped:
         decoder = _session(subject)
@@ -73,8 +77,7 @@ def skipped_frames_answer_nothing(subject: Subject) -> None:
 
 def unrequested_frames_end_the_session(subject: Subject) -> None:
     """A frame that nobody asked for, a second answer, or bytes that stay unexplained mean: out of step."""
-    if subject.protocol.request is None:
-        return
+    _needs_requests(subject)
     for session in subject.sessions:
         answer = session[0].raw
         _expect_refusal(_session(subject).feed(answer), 0, "a frame that nobody asked for")
@@ -94,8 +97,7 @@ def unrequested_frames_end_the_session(subject: Subject) -> None:
 
 def requests_never_outrun_answers(subject: Subject) -> None:
     """In a long random session, cut anyhow and with junk, requests never outnumber answers by more than one."""
-    if subject.protocol.request is None:
-        return
+    _needs_requests(subject)
     chance = subject.random()
     waiting = b""
     decoder, asked, answered = _session(subject), 0, 0
@@ -140,6 +142,11 @@ def _values(type_: inspect.Type) -> list[object]:
     if isinstance(type_, (inspect.IntType, inspect.FloatType)):
         return [end for end in (type_.ge, type_.le) if end is not None]
     return [False, True] if isinstance(type_, inspect.BoolType) else []
+
+
+def _needs_requests(subject: Subject) -> None:
+    if subject.protocol.request is None:
+        raise DoesNotApply(_PUSHED)
 
 
 def _session(subject: Subject) -> Decoder:

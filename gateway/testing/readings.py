@@ -56,7 +56,7 @@ def plain(struct: object) -> Plain:
 
 def leaves(value: object, path: str = "") -> Iterator[tuple[str, object]]:
     """Every leaf with its dotted path; elements of arrays by `[index]`."""
-    if isinstance(value, Mapping):
+    if isinstance(value, dict):
         for name, below in value.items():
             yield from leaves(below, f"{path}.{name}" if path else name)
     elif isinstance(value, list):

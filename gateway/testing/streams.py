@@ -13,6 +13,7 @@ from gateway.testing.subject import CheckFailed
 
 # A damaged byte: all bits, the lowest, the highest, and one more.
 DAMAGES = (0xFF, 0x01, 0x80, None)
+BITS = tuple(1 << bit for bit in range(8))
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,10 @@ class CheckFailed(Exception):  # noqa: N818 - what has happened, like the error 
     """A plugin fails a check; the message says what is wrong and what to do."""
 
 
+class DoesNotApply(Exception):  # noqa: N818 - the same
+    """A check has nothing to look at in a protocol of this kind; the message says why."""
+
+
 @dataclass(frozen=True)
 class Subject:
     """One protocol of one vendor, as the checks see it.
@@ -44,13 +48,19 @@ class Subject:
         """The vectors of this protocol.
 
         Raises:
-            CheckFailed: The file is missing, or is not what `vectors.toml` should be.
+            CheckFailed: The file is missing, is not what `vectors.toml` should be, or has none of this protocol.
         """
         try:
             found = load(self.folder / "vectors.toml")
         except ValueError as error:
             raise CheckFailed(str(error)) from error
-        return tuple(vector for vector in found if vector.protocol == self.protocol.name)
+        own = tuple(vector for vector in found if vector.protocol == self.protocol.name)
+        if not any(vector.layout for vector in own):
+            raise CheckFailed(
+                f"vectors.toml has no vector of protocol {self.protocol.name} that carries state: "
+                "add frames and their values"
+            )
+        return own
 
     @property
     def states(self) -> tuple[Vector, ...]:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
 import struct
 from collections.abc import Callable, Iterator
+from typing import Any
 
-from gateway.api.model import GROUPS
+from gateway.api.decoder import Frame
+from gateway.api.layout import TYPES
+from gateway.api.model import GROUPS, Quality
 from gateway.api.normaliser import Normaliser
 from gateway.api.vendor import Protocol
 from gateway.core.registry import Registry
@@ -13,6 +17,12 @@ from gateway.testing import vectors
 from tests.bench.measure import Row, compare
 
 OPTIONS = {"estop_polarity": "active_low"}
+_CTYPES = {
+    **{f"u{bits}": f"c_uint{bits}" for bits in (8, 16, 32, 64)},
+    **{f"i{bits}": f"c_int{bits}" for bits in (8, 16, 32, 64)},
+    "f32": "c_float",
+    "f64": "c_double",
+}
 
 
 def rows() -> Iterator[Row]:
@@ -24,50 +34,75 @@ def rows() -> Iterator[Row]:
 
 
 def _protocol_rows(registry: Registry, vendor: str, protocol: Protocol) -> list[Row]:
-    raw = _longest(registry, vendor, protocol)
+    frame = _longest(registry, vendor, protocol)
+    raw, start = frame.raw, frame.start
     unpack = struct.Struct(f"<{len(raw) // 4}I").unpack_from
     decoder = protocol.reader()
-    decoder.feed(raw)
     normaliser = Normaliser(protocol.signals, {**OPTIONS, **_defaults(protocol)})
-    layout = max(protocol.layouts, key=lambda layout: layout.size)
-    readers = normaliser.readers(layout)
+    readers = normaliser.readers(frame.layout)
     canonical = [reader for group, reader in readers.items() if group != "vendor"]
     states = [reader for group, reader in readers.items() if GROUPS[group].delivery == "state"]
 
     def everything() -> None:
         for reader in canonical:
-            reader.read(raw, 0)
+            reader.read(raw, start)
 
     def usual() -> None:
         decoder.feed(raw)
         for reader in states:
-            reader.key(raw, 0)
-        readers["joints"].read(raw, 0)
-        readers["tcp"].read(raw, 0)
+            reader.key(raw, start)
+        readers["joints"].read(raw, start)
+        readers["tcp"].read(raw, start)
 
     candidates: list[tuple[str, Callable[[], object]]] = [
         ("find the frame", lambda: decoder.feed(raw)),
-        ("joints", lambda: readers["joints"].read(raw, 0)),
-        ("tcp", lambda: readers["tcp"].read(raw, 0)),
-        ("status, when it has changed", lambda: readers["status"].read(raw, 0)),
-        ("has status, safety or io changed?", lambda: [reader.key(raw, 0) for reader in states]),
+        ("joints", lambda: readers["joints"].read(raw, start)),
+        ("tcp", lambda: readers["tcp"].read(raw, start)),
+        ("status, when it has changed", lambda: readers["status"].read(raw, start)),
+        ("has status, safety or io changed?", lambda: [reader.key(raw, start) for reader in states]),
         ("usual frame: found, joints, tcp, no change", usual),
         ("every canonical group", everything),
-        ("every field of the vendor group", lambda: readers["vendor"].read(raw, 0)),
+        ("every field of the vendor group", lambda: readers["vendor"].read(raw, start)),
+        ("the same fields by ctypes, as others read them", _by_ctypes(frame)),
     ]
     title = f"{vendor}:{protocol.name}"
     baseline = (f"{title}  struct.unpack of {len(raw) // 4} words", lambda: unpack(raw))
     return compare(baseline, [(f"{title}  {name}", call) for name, call in candidates])
 
 
-def _longest(registry: Registry, vendor: str, protocol: Protocol) -> bytes:
+def _longest(registry: Registry, vendor: str, protocol: Protocol) -> Frame:
+    """The longest frame among the vectors that a table explains to its end."""
     known = vectors.load(registry.folder(vendor) / "vectors.toml")
-    fitting = [vector.raw for vector in known if vector.protocol == protocol.name and _is_exact(protocol, vector.raw)]
-    return max(fitting, key=len)
+    events = [event for one in known if one.protocol == protocol.name for event in protocol.reader().feed(one.raw)]
+    exact = [event for event in events if isinstance(event, Frame) and event.layout in protocol.layouts]
+    return max(exact, key=lambda frame: (frame.quality is Quality.GOOD, len(frame.raw)))
 
 
-def _is_exact(protocol: Protocol, raw: bytes) -> bool:
-    return len(raw) in {layout.size for layout in protocol.layouts}
+def _by_ctypes(frame: Frame) -> Callable[[], object]:
+    """Read every field with ctypes, the way of the vendors' own clients: a packed struct, copied, then its fields."""
+    fields: list[tuple[str, Any]] = []
+    end = 0
+    for field in sorted(frame.layout.fields, key=lambda field: field.offset):
+        if not field.present:
+            continue
+        if field.offset > end:
+            fields.append((f"gap_{end}", ctypes.c_uint8 * (field.offset - end)))
+        if field.type in TYPES:
+            one = getattr(ctypes, _CTYPES[field.type])
+            fields.append((field.name, one if field.count is None else one * field.present))
+        else:
+            fields.append((field.name, ctypes.c_char * field.item_size))
+        end = field.offset + field.present * field.item_size
+    base = ctypes.LittleEndianStructure if frame.layout.byteorder == "<" else ctypes.BigEndianStructure
+    made: Any = type("Made", (base,), {"_pack_": 1, "_fields_": fields})
+    reads = [(name, issubclass(type_, ctypes.Array) and type_._type_ is not ctypes.c_char) for name, type_ in fields]
+    assert ctypes.sizeof(made) <= frame.layout.size
+
+    def read() -> dict[str, object]:
+        got = made.from_buffer_copy(frame.raw, frame.start)
+        return {name: list(getattr(got, name)) if is_array else getattr(got, name) for name, is_array in reads}
+
+    return read
 
 
 def _defaults(protocol: Protocol) -> dict[str, object]:

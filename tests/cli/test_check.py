@@ -39,12 +39,12 @@ def test_a_good_file_comes_back_with_every_default_and_nothing_else_on_stdout(ap
 
 
 def test_every_problem_is_one_line_on_stderr_and_the_exit_code_is_78(app: typer.Typer, tmp_path: Path) -> None:
-    path = write(tmp_path, f"{ROBOT}prot = 1\nhosst = 2\n")
+    path = write(tmp_path, f"{ROBOT}prtt = 1\nhosst = 2\n")
     result = CliRunner().invoke(app, [str(path)])
     assert result.exit_code == 78
     assert result.stdout == ""
     assert result.stderr.splitlines() == [
-        f'{path}:5: robots.prot: unknown key; did you mean "port"?',
+        f'{path}:5: robots.prtt: unknown key; did you mean "port"?',
         f'{path}:6: robots.hosst: unknown key; did you mean "host"?',
     ]
 

@@ -9,9 +9,10 @@ import pytest
 
 from gateway import __version__
 from gateway.cli.main import _COMMANDS
+from gateway.core.registry import Registry
 from tests.cli.command import ROOT, command_here, environment
 
-MINE = ["run", "status", "tail", "demo"]
+SIMULATORS = [["simulate", name] for name in Registry().names()]
 
 
 def test_the_version_is_told() -> None:
@@ -26,7 +27,7 @@ def test_help_lists_every_command_and_the_exit_codes() -> None:
     assert "78 wrong configuration" in done.out
 
 
-@pytest.mark.parametrize("name", [[], *([name] for name in _COMMANDS)], ids=lambda name: name[0] if name else "main")
+@pytest.mark.parametrize("name", [[], *([name] for name in _COMMANDS), *SIMULATORS], ids=" ".join)
 def test_help_has_an_example_and_fits_80_columns(name: list[str]) -> None:
     done = command_here(*name, "--help", env={"COLUMNS": "80"})
     assert (done.code, done.err) == (0, "")
@@ -43,6 +44,13 @@ def test_wrong_usage_ends_with_2_and_no_traceback(arguments: list[str]) -> None:
     assert done.code == 2
     assert "Traceback" not in done.err
     assert "Usage:" in done.err
+
+
+def test_a_misspelt_command_is_told_the_nearest_one() -> None:
+    done = command_here("statsu")
+    assert (done.code, done.out) == (2, "")
+    assert "no such command 'statsu'; did you mean 'status'?" in done.err
+    assert "known are run, check, " in command_here("zzz").err
 
 
 def test_no_command_at_all_shows_the_help() -> None:

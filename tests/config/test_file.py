@@ -255,6 +255,43 @@ def test_two_robots_on_one_controller_are_both_named(first: str, second: str) ->
     parse(f"{text}port = 5002\n", "g.toml")
 
 
+@pytest.mark.parametrize(
+    ("listen", "host"),
+    [
+        ("127.0.0.1:5001", "127.0.0.1"),
+        ("127.0.0.1:5001", "localhost"),
+        ("localhost:5001", "127.0.0.1"),
+        ("localhost:5001", "::1"),
+        ("[::1]:5001", "0::1"),
+        ("127.0.0.9:5001", "127.0.0.9"),
+    ],
+)
+def test_the_gateway_is_not_its_own_robot(listen: str, host: str) -> None:
+    (problem,) = problems(f'{ROBOT.replace("10.0.2.7", host)}[server]\nlisten = "{listen}"\n')
+    assert problem.startswith("g.toml:4: robots.host: ")
+    assert "port 5001 is where the gateway itself listens (server.listen): correct one of them" in problem
+
+
+@pytest.mark.parametrize(
+    ("listen", "host"), [("127.0.0.1:5002", "127.0.0.1"), ("127.0.0.1:5001", "127.0.0.2"), ("[::1]:5001", "127.0.0.1")]
+)
+def test_a_robot_on_this_machine_beside_the_listener_is_allowed(listen: str, host: str) -> None:
+    assert robot(parse(f'{ROBOT.replace("10.0.2.7", host)}[server]\nlisten = "{listen}"\n', "g.toml")).host == host
+
+
+@pytest.mark.parametrize(
+    ("word", "meant"), [("rat", "rate_hz"), ("rate", "rate_hz"), ("ho", "host"), ("estop", "estop_polarity")]
+)
+def test_the_beginning_of_a_key_is_taken_for_that_key(word: str, meant: str) -> None:
+    assert problems(f"{ROBOT}{word} = 5\n") == (f'g.toml:5: robots.{word}: unknown key; did you mean "{meant}"?',)
+
+
+@pytest.mark.skipif(not Path("/tmp").stat().st_mode & 0o1000, reason="/tmp is not shared here")  # noqa: S108
+def test_a_folder_that_everybody_shares_is_not_to_be_made_private() -> None:
+    (problem,) = problems(f'vendor_dirs = ["/tmp"]\n{ROBOT}')
+    assert problem.startswith("g.toml:1: vendor_dirs: /tmp: belongs to everybody on this machine; put the plugins into")
+
+
 def test_options_of_another_protocol_than_the_robot_speaks_are_refused(registry: Registry) -> None:
     text = '[[robots]]\nname = "k"\nvendor = "kilo"\nprotocol = "legacy"\nhost = "h"\n[robots.cnde]\nperiod_ms = 8\n'
     (problem,) = problems(text, registry)

@@ -12,16 +12,24 @@ import msgspec
 import pytest
 
 from gateway.api.decoder import Decoder, Event, Frame, Refused, Reject, Skipped
-from gateway.api.framing import Checksum, FramedDecoder, Framing, Polled
+from gateway.api.framing import Checksum, FramedDecoder, Framing
 from gateway.api.layout import Field, Flag, Layout
+from gateway.api.polling import Polled
 from gateway.api.signals import Signal
 from gateway.api.vendor import Protocol
 from gateway.core.registry import Registry
-from gateway.testing.conformance import CHECKS, perform, subjects
+from gateway.testing.conformance import CHECKS, Result, perform, subjects
 from gateway.testing.subject import Subject
 
 KILO = Path(__file__).parent / "kilo"
 BY_NAME = {check.name: check for check in CHECKS}
+# What has nothing to look at in pushed frames with a checksum.
+FOR_OTHERS = (
+    "damaged_values_move_nothing",
+    "skipped_frames_answer_nothing",
+    "unrequested_frames_end_the_session",
+    "requests_never_outrun_answers",
+)
 
 
 @pytest.fixture
@@ -428,7 +436,32 @@ async def test_a_planted_defect_is_found(rainbow: Subject, defect: str) -> None:
 @pytest.mark.parametrize("check", BY_NAME)
 async def test_an_invented_vendor_of_another_kind_passes(kilo: Subject, check: str) -> None:
     outcome = await perform(BY_NAME[check], kilo)
-    assert outcome.result == ("exempt" if check in kilo.vendor.exempt else "passed"), outcome.message
+    assert outcome.result == expected(check, kilo), outcome.message
+
+
+def expected(check: str, kilo: Subject) -> Result:
+    """What a check says of the invented vendor: pushed frames with a checksum."""
+    if check in kilo.vendor.exempt:
+        return "exempt"
+    return "does not apply" if check in FOR_OTHERS else "passed"
+
+
+async def test_what_does_not_apply_says_why(kilo: Subject, rainbow: Subject) -> None:
+    outcomes = [await perform(BY_NAME[check], kilo) for check in FOR_OTHERS]
+    outcomes.append(await perform(BY_NAME["damage_never_passes"], rainbow))
+    assert [outcome.message for outcome in outcomes] == [
+        "the frames have a checksum: damage_never_passes looks at them",
+        *["the controller pushes its frames and answers no requests"] * 3,
+        "the frames have no checksum: damaged_values_move_nothing looks at them",
+    ]
+
+
+async def test_a_protocol_without_vectors_passes_no_check_of_vectors(kilo: Subject) -> None:
+    other = with_protocol(kilo, name="other")
+    for check in ("vectors_decode", "cuts_change_nothing", "damage_never_passes", "keys_follow_values"):
+        outcome = await perform(BY_NAME[check], other)
+        assert "vectors.toml has no vector of protocol other" in outcome.message
+        assert outcome.result == "failed"
 
 
 async def test_a_checksum_that_leaves_a_byte_out_is_found(kilo: Subject) -> None:

@@ -36,8 +36,11 @@ def test_every_check_is_printed_with_its_result_and_all_is_well(folder: Path) ->
     assert code == 0
     assert all(check.name in text for check in CHECKS)
     assert "an invented robot has no virtual controller" in text
-    n_exempt = text.count("  exempt\n")
-    assert text.endswith(f"{len(CHECKS) - n_exempt} passed, {n_exempt} exempt, 0 failed\n")
+    n_exempt, n_not = text.count("  exempt\n"), text.count("  does not apply\n")
+    assert n_not > 0
+    assert "the controller pushes its frames and answers no requests" in text
+    n_passed = len(CHECKS) - n_exempt - n_not
+    assert text.endswith(f"{n_passed} passed, {n_not} did not apply, {n_exempt} exempt, 0 failed\n")
     assert max(map(len, text.splitlines())) <= 80
 
 

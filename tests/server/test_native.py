@@ -16,10 +16,13 @@ from websockets.asyncio.client import connect as foreign_connect
 
 from gateway.api import messages
 from gateway.api.messages import JSON_SUBPROTOCOL, MSGPACK_SUBPROTOCOL
-from gateway.core.bus import Bus
+from gateway.api.model import EventKind, Joints, Link, LinkState, Quality, Sample
+from gateway.core.bus import Bus, Topic
 from tests.server.kit import (
     BOOT,
+    CountingReading,
     Robot,
+    T,
     Talk,
     cell,
     publish,
@@ -133,6 +136,8 @@ WRONG = [
     ({"op": "subscribe", "id": 7, "topics": ["r1/jonts"]}, "UNKNOWN_TOPIC", 'did you mean "r1/joints"?'),
     ({"op": "subscribe", "id": 7, "topics": ["x" * 257]}, "TOO_MUCH", "256"),
     ({"op": "subscribe", "id": 7, "topics": ["*/joints"], "fields": ["positio"]}, "UNKNOWN_FIELD", "positio"),
+    ({"op": "subscribe", "id": 7, "topics": ["*/joints"], "fields": ["position.9.x"]}, "UNKNOWN_FIELD", '"position"?'),
+    ({"op": "subscribe", "id": 7, "topics": ["r1/vendor"], "fields": ["word.movin"]}, "UNKNOWN_FIELD", "word.moving"),
     ({"op": "subscribe", "id": 7, "topics": ["*/joints"], "fields": []}, "BAD_MESSAGE", "fields"),
     ({"op": "subscribe", "id": 7, "topics": ["*/joints"], "fields": ["x" * 257]}, "TOO_MUCH", "256"),
     ({"op": "subscribe", "id": 7, "topics": ["*/joints"], "rate_hz": 0}, "BAD_MESSAGE", "rate_hz"),
@@ -228,6 +233,16 @@ async def test_a_message_over_64_kib_is_refused_by_its_bytes(filler: str) -> Non
         assert (await talk.receive())["op"] == "result"
 
 
+@both
+async def test_a_message_over_64_kib_is_refused_under_its_id(protocol: str) -> None:
+    bus, robots = cell()
+    async with running_door(bus, robots) as url, talking(url, protocol) as talk:
+        await talk.send({"op": "describe", "filler": ["x" * 100_000], "id": "mine", "topic": "y" * 800_000})
+        error = await talk.receive()
+        assert (error["code"], error["id"]) == ("TOO_MUCH", "mine")
+        assert (await talk.ask("ping"))["op"] == "result"
+
+
 async def test_a_message_far_over_the_limit_ends_the_connection_with_1009_and_the_others_go_on() -> None:
     bus, robots = cell()
     async with running_door(bus, robots) as url, talking(url) as talk, talking(url) as other:
@@ -303,6 +318,87 @@ async def test_a_url_that_is_wrong_is_refused_before_the_handshake(query: str) -
         with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
             await session.ws_connect(f"{url}?topics=*/joints&{query}")
         assert refused.value.status == 400
+
+
+@pytest.mark.parametrize(
+    ("query", "says"),
+    [
+        ("topics=*/joints&rate=5&zzz=1", "unknown: rate, zzz; allowed are topics, rate_hz, mode, fields, since"),
+        ("rate_hz=5", "rate_hz without topics"),
+        ("topics=a/b&topics=c/d", "more than once: topics"),
+        ("topic=*/joints", "unknown: topic; allowed are topics,"),
+    ],
+)
+async def test_a_url_parameter_without_effect_is_refused_by_name(query: str, says: str) -> None:
+    bus, robots = cell()
+    async with (
+        running_door(bus, robots) as url,
+        aiohttp.ClientSession() as session,
+        session.get(f"{url.replace('ws://', 'http://')}?{query}") as answer,
+    ):
+        assert answer.status == 400
+        assert says in await answer.text()
+
+
+class BrokenReading(CountingReading):
+    """A reading whose plugin has put in what no encoding knows."""
+
+    reported = 0
+
+    def broken(self, topic: Topic, error: Exception) -> Sample:
+        """The empty sample."""
+        assert isinstance(error, TypeError)
+        self.reported += 1
+        return msgspec.structs.replace(self.sample(topic), data=Joints(), q=Quality.BAD)
+
+
+def publish_broken(bus: Bus, name: str, data: object) -> BrokenReading:
+    """Publish a reading that cannot be encoded."""
+    made = BrokenReading(Sample(topic=name, seq=1, epoch="e.1", t=T, q=Quality.GOOD, data=data))
+    bus.publish(bus.topics[name], made)
+    return made
+
+
+@both
+async def test_what_cannot_be_encoded_comes_empty_with_q_bad_and_the_clients_stay(protocol: str) -> None:
+    bus, robots = cell()
+    wrong = msgspec.structs.replace(Joints(), position=[object()], velocity=[1.0])
+    async with running_door(bus, robots) as url, talking(url, protocol) as talk, talking(url, protocol) as cut:
+        await talk.ask("subscribe", topics=["*/joints"])
+        await cut.ask("subscribe", topics=["*/joints"], fields=["velocity"])
+        made = publish_broken(bus, "r1/joints", wrong)
+        (sample,) = await talk.samples()
+        assert (sample["q"], msgspec.convert(sample["data"], Joints)) == ("BAD", Joints())
+        (sample,) = await cut.samples()
+        assert (sample["q"], sample["data"]) == ("GOOD", {"velocity": [1.0]})
+        (sample,) = msgspec.convert((await talk.ask("get", topics=["r1/joints"]))["samples"], list[dict[str, object]])
+        assert sample["q"] == "BAD"
+        assert made.reported == 2
+        await other_is_served(bus, talk, 2)
+
+
+@both
+async def test_an_event_whose_values_cannot_be_encoded_comes_without_them(protocol: str) -> None:
+    bus, robots = cell("r1")
+    topic = bus.topics["r1/events"]
+    async with running_door(bus, robots) as url, talking(url, protocol) as talk:
+        await talk.ask("subscribe", topics=["*/events"])
+        bus.raise_event(topic, T, EventKind.POWER_CHANGED, object(), "OFF", {"word": 1})
+        (live,) = msgspec.convert((await talk.receive("event"))["events"], list[dict[str, object]])
+        (read,) = msgspec.convert((await talk.ask("events"))["events"], list[dict[str, object]])
+    for event in (live, read):
+        assert (event["kind"], event["from"], event["to"], event["raw"]) == ("power.changed", None, None, {})
+
+
+async def test_an_internal_error_closes_with_1011_and_the_others_go_on() -> None:
+    bus, robots = cell("r1", "r2")
+    link = msgspec.structs.replace(Link(state=LinkState.ONLINE, since=T, protocol="p", peer="h"), notes=[object()])
+    async with running_door(bus, robots) as url, talking(url) as talk, talking(url) as other:
+        await other.ask("subscribe", topics=["r2/joints"])
+        publish(bus, "r1/link", 2, link)
+        await talk.send({"op": "robots", "id": 1})
+        assert await talk.close_code() == 1011
+        await other_is_served(bus, other, 1)
 
 
 async def test_a_client_that_never_reads_is_sent_away_with_1013_and_costs_bounded_memory() -> None:

@@ -13,7 +13,8 @@ import pytest
 
 from gateway.api.messages import Data, EventMessage, Mode, Response
 from gateway.api.messages import Missed as MissedMessage
-from gateway.core.bus import Bus
+from gateway.api.model import Joints, Quality
+from gateway.core.bus import Bus, ValueReading
 from gateway.server import outbox as module
 from gateway.server.inbox import Rated
 from gateway.server.outbox import QUEUED_EVENTS, QUEUED_SAMPLES, Outbox, Subscription, Wish
@@ -272,6 +273,52 @@ def test_a_very_low_rate_gives_the_first_value_and_waits(rate_hz: float) -> None
     assert not one.due
     one.now.at_s += 1e6
     assert one.seqs() == []
+
+
+def lose(one: Box, seq: int, quality: Quality = Quality.STALE) -> None:
+    """Say on a topic that no more values come."""
+    sample = reading("r1/joints", seq).sample(one.bus.topics["r1/joints"])
+    lost = ValueReading(msgspec.structs.replace(sample, q=quality, data=Joints()))
+    one.bus.publish(one.bus.topics["r1/joints"], lost)
+
+
+@pytest.mark.parametrize("quality", [Quality.STALE, Quality.DISCONNECTED])
+def test_the_loss_of_a_link_waits_for_no_slot_and_takes_none(quality: Quality) -> None:
+    one = box()
+    one.subscribe("r1/joints", rate_hz=0.1)
+    publish(one.bus, "r1/joints", 1)
+    one.now.at_s += 1
+    assert one.outbox.due_s > one.now.at_s
+    lose(one, 2, quality)
+    assert one.due
+    assert one.seqs() == [2]
+    publish(one.bus, "r1/joints", 3)
+    one.now.at_s += 8.9
+    assert one.outbox.due_s > one.now.at_s
+    one.now.at_s += 0.2
+    assert one.seqs() == [3]
+    assert not one.outbox.missed
+
+
+def test_a_loss_hurries_nothing_but_its_own_topic() -> None:
+    one = box()
+    one.subscribe("*/joints", rate_hz=0.1)
+    publish(one.bus, "r2/joints", 1)
+    lose(one, 2)
+    assert (one.due, one.seqs("r2/joints")) == (True, [])
+    one.now.at_s = one.outbox.due_s
+    assert one.seqs("r2/joints") == [1]
+
+
+@pytest.mark.parametrize("mode", ["latest", "all"])
+def test_a_loss_waits_for_no_flush_either(mode: Mode) -> None:
+    one = box(flush_s=1.0)
+    one.subscribe("r1/joints", mode=mode)
+    publish(one.bus, "r1/joints", 1)
+    assert one.outbox.due_s > one.now.at_s
+    lose(one, 2)
+    assert one.due
+    assert one.seqs() == ([1, 2] if mode == "all" else [2])
 
 
 def test_events_do_not_wait() -> None:

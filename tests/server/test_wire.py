@@ -94,7 +94,7 @@ class CountingEncoding:
         self.text = True
         self.count = 0
         self.decode = JSON.decode
-        self.decode_any = JSON.decode_any
+        self.decode_id = JSON.decode_id
         self.list_message = JSON.list_message
 
     def encode(self, message: object) -> bytes:

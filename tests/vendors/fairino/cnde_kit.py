@@ -11,8 +11,8 @@ from gateway.sim.scenario import RobotState, find_scenario
 from gateway.sim.simulator import VirtualRobot
 from vendors.fairino.cnde import CndeDecoder, CndeOptions, Learned
 from vendors.fairino.cnde_narrowing import Narrowing
-from vendors.fairino.cnde_simulator import CndeBehaviour, CndeSession
-from vendors.fairino.simulated import Writer
+from vendors.fairino.simulator.cnde import CndeBehaviour, CndeSession
+from vendors.fairino.simulator.values import Writer
 
 VALUES: Mapping[str, object] = {
     "jt_cur_pos": [10.0, -20.5, 30.25, -40.0, 50.0, 60.0],

@@ -13,9 +13,9 @@ from tests.vendors.fairino.cnde_kit import running, talk
 from vendors.fairino.cnde import UDP_STATES, CndeDecoder, CndeOptions, Learned, make_decoders
 from vendors.fairino.cnde_narrowing import Narrowing
 from vendors.fairino.cnde_protocol import CNDE, FirmwareProbe
-from vendors.fairino.cnde_simulator import CndeBehaviour
 from vendors.fairino.cnde_states import ALL_STATES
 from vendors.fairino.cnde_wire import DATA, FIRMWARE, MESSAGE, configuration, frame
+from vendors.fairino.simulator.cnde import CndeBehaviour
 
 PAIR = CndeOptions(states=("program_state", "actual_joint_pos"))
 STOP = bytes.fromhex("5a5a00030000a5a5")

@@ -11,10 +11,10 @@ import pytest
 from gateway.api.model import LinkState, LinkStats
 from gateway.sim.server import serve
 from tests.vendors.fairino.test_cnde_simulator import Reading, eventually, reading, robot, simulator
-from vendors.fairino.cnde_simulator import CndeBehaviour
+from vendors.fairino.simulator.cnde import CndeBehaviour
 
 ROBOTS = 8
-RUN_S = float(os.environ.get("SOAK_SECONDS", "0")) or 4.0
+RUN_S = float(os.environ.get("SOAK_SECONDS", "0")) or 1.5
 
 
 async def nothing_is_lost(seconds: float) -> None:

@@ -24,9 +24,9 @@ from gateway.sim.simulator import Port, Simulator, VirtualRobot
 from tests.vendors.fairino.cnde_kit import virtual
 from vendors.fairino.cnde import CndeOptions
 from vendors.fairino.cnde_protocol import CNDE
-from vendors.fairino.cnde_simulator import FILLERS, CndeBehaviour, CndeSession, known_states
 from vendors.fairino.cnde_states import ALL_STATES, HEADER
 from vendors.fairino.cnde_wire import FIRMWARE, MESSAGE, START, STOP, configuration, frame
+from vendors.fairino.simulator.cnde import FILLERS, CndeBehaviour, CndeSession, known_states
 
 VENDOR = Vendor(name="fairino", title="FAIRINO", protocols=(CNDE,))
 

@@ -1,15 +1,12 @@
 """Others' code on port 8083: fairino-fws reads our virtual controller, and `status` reads its fake one.
 
-Each runs in a process of its own, which a time limit kills. Where the package is not installed beside the gateway, the
-environment variable FAIRINO_FWS_PYTHON may name an interpreter that has it.
+Each runs in a process of its own, which a time limit kills.
 """
 
 from __future__ import annotations
 
 import asyncio
-import importlib.util
 import json
-import os
 import sys
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
@@ -23,17 +20,11 @@ from gateway.api.normaliser import Normaliser
 from gateway.sim.server import serve
 from gateway.sim.simulator import Sent
 from vendors.fairino.pushed import STATUS
-from vendors.fairino.simulated import PROGRAM
 from vendors.fairino.simulator import SIMULATOR
+from vendors.fairino.simulator.values import PROGRAM
 
 LIMIT_S = 15.0
 HOST = "127.0.0.1"
-HERE = importlib.util.find_spec("fws") is not None
-PYTHON = sys.executable if HERE else os.environ.get("FAIRINO_FWS_PYTHON", "")
-
-pytestmark = pytest.mark.skipif(
-    not PYTHON, reason="fairino-fws is not installed, and FAIRINO_FWS_PYTHON names no other"
-)
 
 _TELEMETRY = """
 import json, sys, time
@@ -69,9 +60,9 @@ with FakeController(stream_hz=50.0) as fake:
 
 @asynccontextmanager
 async def script(code: str, *arguments: str) -> AsyncIterator[asyncio.subprocess.Process]:
-    """Run a script in the interpreter that has fairino-fws, for as long as the context lasts."""
+    """Run a script in a process of its own for as long as the context lasts."""
     pipe = asyncio.subprocess.PIPE
-    process = await asyncio.create_subprocess_exec(PYTHON, "-c", code, *arguments, stdin=pipe, stdout=pipe)
+    process = await asyncio.create_subprocess_exec(sys.executable, "-c", code, *arguments, stdin=pipe, stdout=pipe)
     try:
         async with asyncio.timeout(LIMIT_S):
             yield process

@@ -18,10 +18,10 @@ from gateway.sim.server import VirtualController, serve
 from gateway.sim.simulator import VirtualRobot
 from vendors.fairino.layouts import LONGEST, STATUS_433
 from vendors.fairino.pushed import LEGACY, STATUS
-from vendors.fairino.rpc import RpcSession
 from vendors.fairino.signals import SIGNALS
-from vendors.fairino.simulated import frame_values
 from vendors.fairino.simulator import SIMULATOR, FairinoOptions, Firmware, LegacySession, StatusSession
+from vendors.fairino.simulator.rpc import RpcSession
+from vendors.fairino.simulator.values import frame_values
 
 HOST = "127.0.0.1"
 

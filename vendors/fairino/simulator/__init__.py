@@ -1,7 +1,7 @@
 """The virtual FAIRINO controller: what a firmware offers, on its ports, from one motion and scenario.
 
-Ports 20004 and 8083 push as soon as somebody connects, each frame in one send; CNDE stands in `cnde_simulator.py`. Port
-8080 is there because some clients insist on connecting to it.
+Ports 20004 and 8083 push as soon as somebody connects, each frame in one send; CNDE stands in `cnde.py`. Port 8080 is
+there because some clients insist on connecting to it.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from msgspec import Meta
 from gateway.api.layout import Layout
 from gateway.sim.packing import Word
 from gateway.sim.simulator import Port, Simulator, VirtualRobot
-from vendors.fairino.cnde_simulator import FILLERS, CndeBehaviour, CndeSession, known_states
 from vendors.fairino.cnde_states import ALL_STATES
 from vendors.fairino.cnde_states import HEADER as CNDE_HEADER
 from vendors.fairino.layouts import CHECKSUM_SIZE, LEGACY_LAYOUTS, STATUS_357, STATUS_433
 from vendors.fairino.pushed import HEADER, LENGTH_ADDS, sum16
-from vendors.fairino.rpc import SAMPLE_PERIOD, RpcSession
-from vendors.fairino.simulated import Writer, as_status
+from vendors.fairino.simulator.cnde import FILLERS, CndeBehaviour, CndeSession, known_states
+from vendors.fairino.simulator.rpc import SAMPLE_PERIOD, RpcSession
+from vendors.fairino.simulator.values import Writer, as_status
 
 ALL = "all"
 Firmware = Literal[

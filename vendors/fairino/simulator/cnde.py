@@ -27,7 +27,7 @@ from vendors.fairino.cnde_wire import (
     frame,
 )
 from vendors.fairino.layouts import CHECKSUM_SIZE, LONGEST, STATES
-from vendors.fairino.simulated import Writer
+from vendors.fairino.simulator.values import Writer
 
 FILLERS = (frame(MESSAGE, b"\x01information"), frame(MESSAGE, b"\x02joint 3 is warm"))
 _PERIODS_MS = range(1, 201)  # as documented; clients use 8 and more
