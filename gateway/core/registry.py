@@ -135,7 +135,9 @@ class Registry:
         place = self._place(name)
         folder = self.folder(name)
         if not any((folder / file).is_file() for file in ("simulator.py", "simulator/__init__.py")):
-            raise VendorError(name, "has no virtual controller: there is no simulator.py in its folder")
+            raise VendorError(
+                name, "has no virtual controller: there is no module or package `simulator` in its folder"
+            )
         with _as_vendor_error(name, place), _no_bytecode(place):
             module = importlib.import_module(f"{place.module}.simulator")
         if not hasattr(module, "SIMULATOR"):

@@ -1,4 +1,4 @@
-"""What a vendor's `simulator.py` exports, and the virtual robot that its sessions speak for: sans-I/O, like decoders.
+"""What a vendor's `simulator` exports, and the virtual robot that its sessions speak for: sans-I/O, like decoders.
 
 A `Simulator` has one or more `Port`s; each makes a `VirtualSession` for every connection.
 """

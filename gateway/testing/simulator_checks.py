@@ -35,7 +35,8 @@ def _port(subject: Subject) -> tuple[Port, Simulator]:
     simulator = subject.simulator() if subject.simulator is not None else None
     if not isinstance(simulator, Simulator):
         raise CheckFailed(
-            "the module or package `simulator` exports no SIMULATOR: write the virtual controller that the tests and the demo need"
+            "the module or package `simulator` exports no SIMULATOR: "
+            "write the virtual controller that the tests and the demo need"
         )
     ports = [port for port in simulator.ports if port.protocol == subject.protocol.name]
     if not ports:

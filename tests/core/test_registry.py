@@ -193,7 +193,11 @@ def test_the_virtual_controller_is_loaded_only_when_it_is_asked_for(tmp_path: Pa
 
 @pytest.mark.parametrize(
     ("text", "reason"),
-    [(None, "there is no simulator.py"), ("", "exports no SIMULATOR"), ("1 / 0", "ZeroDivisionError.*simulator.py:1")],
+    [
+        (None, "there is no module or package `simulator`"),
+        ("", "exports no SIMULATOR"),
+        ("1 / 0", "ZeroDivisionError.*simulator.py:1"),
+    ],
 )
 def test_a_virtual_controller_that_is_not_there_is_a_vendor_error(
     tmp_path: Path, text: str | None, reason: str
