@@ -12,15 +12,16 @@ import structlog
 
 from gateway.api.decoder import Decoder, Event, Frame, Refused, RefusedKind
 from gateway.api.layout import Layout
-from gateway.api.model import GROUPS, EventKind, LinkState, Quality, Sample
+from gateway.api.model import GROUPS, EventKind, LinkState, Quality
 from gateway.api.model import Link as LinkData
 from gateway.api.normaliser import Normaliser
 from gateway.core.backoff import REFUSED_S, Backoff, backoff
-from gateway.core.bus import Bus, Origin, Topic, ValueReading
+from gateway.core.bus import Bus
 from gateway.core.clock import Clock, Timeline
 from gateway.core.controller_clock import ControllerClock
 from gateway.core.counters import LinkCounters
 from gateway.core.kept import KeptDecoder
+from gateway.core.own_topic import OwnTopic
 from gateway.core.publisher import Publisher
 from gateway.core.repeats import Repeats
 from gateway.core.session import Session
@@ -65,7 +66,7 @@ class Link:
         controller_clock = ControllerClock(wall_clock, robot.clock_zone) if wall_clock else None
         self._publisher = Publisher(robot.name, bus, normaliser, robot.origin, controller_clock)
         topics = bus.add(robot.name, ["link", "link_stats"])
-        self._own = {group: _OwnTopic(topic, bus, robot.origin) for group, topic in topics.items()}
+        self._own = {group: OwnTopic(topic, bus, robot.origin) for group, topic in topics.items()}
         self._counters = LinkCounters(robot.protocol.framing.counter_at)
         self._new_decoder = robot.protocol.decoders(robot.options)
         self._decoder: Decoder | None = None
@@ -292,35 +293,6 @@ class Link:
         self._bus.raise_event(self._publisher.events, self._timeline.now(), kind, before, after, raw)
 
 
-class _OwnTopic:
-    """A topic that the gateway itself speaks on."""
-
-    def __init__(self, topic: Topic, bus: Bus, origin: Origin) -> None:
-        self._topic = topic
-        self._bus = bus
-        self._origin: Origin = origin
-        self.begin_epoch()
-
-    def begin_epoch(self) -> None:
-        """Begin anew: time has gone back."""
-        self._epoch = secrets.token_hex(4)
-        self._seq = 0
-
-    def publish(self, data: msgspec.Struct, t: int) -> None:
-        """Publish the topic's next sample."""
-        self._seq += 1
-        sample = Sample(
-            topic=self._topic.name,
-            seq=self._seq,
-            epoch=self._epoch,
-            t=t,
-            q=Quality.GOOD,
-            origin=self._origin,
-            data=data,
-        )
-        self._bus.publish(self._topic, ValueReading(sample))
-
-
 def announce_broken(robot: BrokenRobot, bus: Bus, clock: Clock) -> None:
     """Show a robot whose plugin could not be loaded: its link is FAULTED and says why."""
     topic = bus.add(robot.name, [GROUPS["link"].name])["link"]
@@ -333,5 +305,5 @@ def announce_broken(robot: BrokenRobot, bus: Bus, clock: Clock) -> None:
         peer=robot.host,
         last_error=str(robot.error),
     )
-    _OwnTopic(topic, bus, "live").publish(data, now)
+    OwnTopic(topic, bus, "live").publish(data, now)
     _LOG.error("link.faulted", robot=robot.name, vendor=robot.vendor, reason=robot.error.reason)

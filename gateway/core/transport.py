@@ -6,6 +6,7 @@ import errno
 import os
 import socket
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 import anyio
@@ -74,6 +75,7 @@ class Connector(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
 class TcpClient:
     """The gateway calls the controller over TCP.
 
@@ -82,20 +84,19 @@ class TcpClient:
         port: Its port.
     """
 
-    def __init__(self, host: str, port: int) -> None:
-        self._host = host
-        self._port = port
+    host: str
+    port: int
 
     @property
     def peer(self) -> str:
         """The controller's address, for people."""
-        return address_text(self._host, self._port)
+        return address_text(self.host, self.port)
 
     async def connect(self) -> Connection:
         """Open a connection; see `Connector`."""
         try:
             with anyio.fail_after(CONNECT_TIMEOUT_S):
-                stream = await anyio.connect_tcp(self._host, self._port)
+                stream = await anyio.connect_tcp(self.host, self.port)
         except TimeoutError:
             raise LinkClosed(f"no answer from {self.peer} within {CONNECT_TIMEOUT_S:g} s") from None
         except OSError as error:

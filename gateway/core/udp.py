@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
+from dataclasses import dataclass
 from typing import cast
 
 import anyio
@@ -16,6 +17,7 @@ from gateway.errors import LinkClosed
 _WAITING = 1024
 
 
+@dataclass(frozen=True, slots=True)
 class UdpClient:
     """The gateway calls the controller over UDP.
 
@@ -24,23 +26,22 @@ class UdpClient:
         port: Its port.
     """
 
-    def __init__(self, host: str, port: int) -> None:
-        self._host = host
-        self._port = port
+    host: str
+    port: int
 
     @property
     def peer(self) -> str:
         """The controller's address, for people."""
-        return f"{address_text(self._host, self._port)}/udp"
+        return f"{address_text(self.host, self.port)}/udp"
 
     async def connect(self) -> Connection:
         """Open a connection; see `Connector`. That it opens does not say that anybody is there."""
         loop = asyncio.get_running_loop()
         try:
             with anyio.fail_after(CONNECT_TIMEOUT_S):
-                _, protocol = await loop.create_datagram_endpoint(_Datagrams, remote_addr=(self._host, self._port))
+                _, protocol = await loop.create_datagram_endpoint(_Datagrams, remote_addr=(self.host, self.port))
         except TimeoutError:
-            raise LinkClosed(f"the name {self._host} is not resolved within {CONNECT_TIMEOUT_S:g} s") from None
+            raise LinkClosed(f"the name {self.host} is not resolved within {CONNECT_TIMEOUT_S:g} s") from None
         except OSError as error:
             raise LinkClosed(f"{self.peer}: {describe(error)}") from error
         return UdpConnection(protocol)
