@@ -268,7 +268,9 @@ class Status(msgspec.Struct, frozen=True):
     in_error: Annotated[bool | None, _is("The controller reports an error.")] = None
     e_stopped: Annotated[
         bool | None,
-        _is(f"An emergency stop is pressed; null until the robot's estop_polarity is set. {SAFETY_NOTICE}"),
+        _is(
+            f"An emergency stop is pressed; null where its polarity is not documented and estop_polarity is not set. {SAFETY_NOTICE}"
+        ),
     ] = None
     tool_id: Annotated[int | None, _is("Number of the selected tool.")] = None
     workobject_id: Annotated[int | None, _is("Number of the selected work object.")] = None
