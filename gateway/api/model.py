@@ -269,7 +269,8 @@ class Status(msgspec.Struct, frozen=True):
     e_stopped: Annotated[
         bool | None,
         _is(
-            f"An emergency stop is pressed; null where its polarity is not documented and estop_polarity is not set. {SAFETY_NOTICE}"
+            "An emergency stop is pressed; null where its polarity is neither documented nor set by estop_polarity. "
+            f"{SAFETY_NOTICE}"
         ),
     ] = None
     tool_id: Annotated[int | None, _is("Number of the selected tool.")] = None

@@ -14,6 +14,7 @@ import subprocess
 import sys
 import termios
 import time
+from collections.abc import Sequence
 
 import anyio
 import pyte
@@ -72,13 +73,19 @@ async def test_a_wrong_address_is_wrong_usage(listen: str) -> None:
     assert "--listen" in done.err
 
 
-def read_screen(master: int, screen: pyte.Screen, seconds: float, enough: str) -> None:
-    """Feed what a terminal gets to a screen until it shows some text."""
+def read_screen(master: int, screen: pyte.Screen, seconds: float, *enough: str) -> None:
+    """Feed what a terminal gets to a screen until every one of some patterns is on it."""
     stream = pyte.ByteStream(screen)
     end_s = time.monotonic() + seconds
-    while (left_s := end_s - time.monotonic()) > 0 and enough not in "\n".join(screen.display):
+    while (left_s := end_s - time.monotonic()) > 0 and not shows(screen, enough):
         if select.select([master], [], [], left_s)[0]:
             stream.feed(os.read(master, 65536))
+
+
+def shows(screen: pyte.Screen, patterns: Sequence[str]) -> bool:
+    """Whether every pattern is on the screen."""
+    text = "\n".join(screen.display)
+    return all(re.search(pattern, text) for pattern in patterns)
 
 
 def open_on_terminal(arguments: list[str], columns: int, lines: int) -> tuple[subprocess.Popen[bytes], int]:
@@ -104,7 +111,7 @@ async def test_on_a_terminal_it_shows_live_data_and_ctrl_c_ends_it_cleanly(colum
     process, master = open_on_terminal([*PYTHON, "demo", "--listen", "127.0.0.1:0"], columns, lines)
     screen = pyte.Screen(columns, lines)
     try:
-        await anyio.to_thread.run_sync(read_screen, master, screen, 10, "RUNNING")
+        await anyio.to_thread.run_sync(read_screen, master, screen, 10, "rainbow:reqdata.*RUNNING", "Ctrl-C ends it")
         shown = [line.rstrip() for line in screen.display]
         os.write(master, b"\x03")
         with anyio.fail_after(5):
