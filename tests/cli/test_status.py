@@ -8,7 +8,7 @@ import signal
 import anyio
 import pytest
 
-from tests.cli.command import command, environment, running_cell
+from tests.cli.command import PYTHON, command, environment, running_cell
 
 
 async def test_status_shows_the_robot_in_a_table_and_as_json() -> None:
@@ -50,12 +50,10 @@ async def test_watching_is_for_people() -> None:
 
 async def test_watching_waits_for_a_gateway_and_ends_on_ctrl_c() -> None:
     arguments = ["status", "--watch", "--url", "ws://127.0.0.1:1/ws"]
-    async with await anyio.open_process(
-        ["python", "-m", "gateway", *arguments], env=environment(PYTHONUNBUFFERED="1")
-    ) as process:
+    async with await anyio.open_process([*PYTHON, *arguments], env=environment(PYTHONUNBUFFERED="1")) as process:
         assert process.stdout is not None
         assert process.stderr is not None
-        await anyio.sleep(1.0)
+        await anyio.sleep(2.5)  # it starts, finds nobody, and says so
         process.send_signal(signal.SIGINT)
         with anyio.fail_after(5):
             assert await process.wait() == 0
