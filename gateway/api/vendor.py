@@ -97,6 +97,11 @@ class Protocol:
         """Every table of the protocol."""
         return tuple(layout for kind in self.framing.kinds for layout in kind.layouts)
 
+    @property
+    def longest(self) -> Layout:
+        """The table that the others are prefixes of, or the largest."""
+        return max(self.layouts, key=lambda layout: layout.size)
+
     def reader(self) -> FramedDecoder:
         """Make a decoder that only reads: for recordings, and for streams that are pushed."""
         return FramedDecoder(self.framing)

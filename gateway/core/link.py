@@ -172,10 +172,14 @@ class Link:
 
     def _off_but_open(self, state: LinkState, reason: str) -> None:
         """Say that a session that is kept gives nothing: the next good frame makes the link online again."""
-        self._announce_loss(state, reason)
-        self._enter(state, reason, last_error=reason, reached_hz=None)
-        self._counters.reached_hz = None
+        self._off(state, reason)
         self._first_frame = True
+
+    def _off(self, state: LinkState, reason: str, **changes: object) -> None:
+        """Say that no frames come, and why."""
+        self._announce_loss(state, reason)
+        self._counters.reached_hz = None
+        self._enter(state, reason, last_error=reason, reached_hz=None, **changes)
 
     def _online(self, frame: Frame) -> None:
         """The first good frame of a session, or after a silence."""
@@ -209,11 +213,8 @@ class Link:
             self._delays = self._new_delays()
         if delay_s is None:
             delay_s = next(self._delays)
-        self._announce_loss(state, reason)
         due = self._timeline.now() + int(delay_s * 1e6)
-        told = list(filter(None, notes)) or self._notes()
-        self._enter(state, reason, last_error=reason, next_attempt=due, reached_hz=None, notes=told)
-        self._counters.reached_hz = None
+        self._off(state, reason, next_attempt=due, notes=list(filter(None, notes)) or self._notes())
         return delay_s
 
     def _announce_loss(self, state: LinkState, reason: str) -> None:

@@ -109,9 +109,7 @@ class Publisher:
         self._seq += 1
         reading = self._last = FrameReading(stream, frame, self._seq, self._timeline.stamp(monotonic_s))
         for topic in self._samples:
-            topic.latest = reading
-            for listener in topic.listeners:
-                listener.on_reading(topic, reading)
+            self._bus.publish(topic, reading)
         for state in self._states:
             state.topic.latest = reading  # whoever asks gets the newest; listeners are told of changes only
             key = state.reader.key(frame.raw, frame.start)

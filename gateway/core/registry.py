@@ -278,8 +278,7 @@ def _tried(name: str, vendor: Vendor) -> Vendor:
     for protocol in vendor.protocols:
         try:
             options = {**dict.fromkeys(ROBOT_OPTIONS), **msgspec.structs.asdict(protocol.options())}
-            longest = max(protocol.layouts, key=lambda layout: layout.size)
-            Normaliser(protocol.signals, options).readers(longest)
+            Normaliser(protocol.signals, options).readers(protocol.longest)
         except (Exception, SystemExit) as error:
             raise VendorError(name, f"its protocol {_quote(protocol.name)} cannot work: {error}") from error
     return vendor

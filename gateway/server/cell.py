@@ -44,8 +44,7 @@ class Cell:
         group = topic.group.name
         if isinstance(robot, BrokenRobot):
             return Description(topic=topic.name, delivery=topic.group.delivery, schema=group_schema(group))
-        longest = max(robot.protocol.layouts, key=lambda layout: layout.size)
-        return describe(topic.name, group, longest, robot.protocol.signals)
+        return describe(topic.name, group, robot.protocol.longest, robot.protocol.signals)
 
     def unknown_topic(self, patterns: Sequence[str]) -> str:
         """Say what to do about globs that match nothing."""
