@@ -18,12 +18,15 @@ from gateway.core.clock import Clock, SystemClock
 from gateway.core.events import EventRing
 from gateway.core.link import Link, announce_broken
 from gateway.core.settings import BrokenRobot, RobotSettings
+from gateway.core.tcp_server import TcpServer
 from gateway.core.transport import Connector, TcpClient
 from gateway.core.udp import UdpClient
 from gateway.server.cell import Cell
 from gateway.server.http import listening
 
 _LOG = structlog.get_logger()
+# Where a robot's calls are taken whose options do not say.
+DEFAULT_LISTEN = "127.0.0.1"
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +51,21 @@ class Gateway:
 
 
 def connector_of(robot: RobotSettings) -> Connector:
-    """How a robot is reached."""
-    return connector(robot.protocol.transport(robot.options), robot.host, robot.port)
+    """How a robot is reached, or how it reaches the gateway."""
+    transport = robot.protocol.transport(robot.options)
+    if transport == "tcp_server":
+        return TcpServer(getattr(robot.options, "listen", DEFAULT_LISTEN), robot.port, robot.host)
+    return connector(transport, robot.host, robot.port)
 
 
 def connector(transport: Transport, host: str, port: int) -> Connector:
-    """What opens connections over a transport."""
+    """What calls a controller over a transport.
+
+    Raises:
+        ValueError: It is the controller that calls.
+    """
+    if transport == "tcp_server":
+        raise ValueError("a controller that calls cannot be called")
     return UdpClient(host, port) if transport == "udp" else TcpClient(host, port)
 
 

@@ -100,11 +100,11 @@ class Client:
 
     async def events(
         self,
-        since: str | None = None,
+        since: messages.Since | None = None,
         limit: int = 1000,
         topics: Sequence[str] = ("*",),
     ) -> list[Event]:
-        """Events read back from the ring, after the one named `since`."""
+        """Events read back from the rings, after those named `since`: one name for each ring."""
         request = messages.Events(id=next(self._ids), since=since, limit=limit, topics=list(topics))
         return _part((await self._ask(request)).events)
 
@@ -115,7 +115,7 @@ class Client:
         rate_hz: float | None = None,
         mode: messages.Mode = "latest",
         fields: Sequence[str] | None = None,
-        since: str | None = None,
+        since: messages.Since | None = None,
     ) -> list[str]:
         """Ask for topics; returns the names that match now. Their samples come from `pushed()`."""
         request = messages.Subscribe(

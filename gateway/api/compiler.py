@@ -9,40 +9,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import cast
 
 import msgspec
 
 from gateway.api import model
+from gateway.api.decoder import Frame
 from gateway.api.expressions import row_expression, word_expression
 from gateway.api.layout import STRINGS, Layout
-from gateway.api.signals import Signal, find_source
+from gateway.api.reader import Read, Reader, ReadKey, ReadWords
+from gateway.api.signals import Signal, find_source, struct_inside
 from gateway.api.words import Words, finite, flag_value, packing, struct_of, wire_order
 
-Read = Callable[[bytes, int], tuple[object, bool]]
-ReadKey = Callable[[bytes, int], object]
 # An unsigned integer of the same size: for keys that compare floats bit by bit, where NaN equals NaN.
 _AS_BITS = {"f32": "I", "f64": "Q"}
-
-
-@dataclass(frozen=True, slots=True)
-class Reader:
-    """How one group is read from frames of one layout.
-
-    Attributes:
-        read: Takes `raw` and where the layout starts in it; returns the group and whether it held non-finite values.
-        key: The bits that the group's discrete values follow from: while they stay equal, a state topic has no news.
-        quality: The worst quality that the rows themselves state.
-        empty: The group with every leaf null.
-        volatile: Paths of the leaves that always change.
-    """
-
-    read: Read
-    key: ReadKey
-    quality: model.Quality
-    empty: object
-    volatile: tuple[tuple[str, ...], ...] = ()
 
 
 def compile_group(
@@ -69,6 +49,8 @@ def compile_group(
     struct_type = model.GROUPS[group].struct
     if not rows or struct_type is None:
         return None
+    if any(row.doubt for row in rows):
+        raise ValueError(f"{group}: only a record's values are doubted one by one; state `quality` instead")
     words = Words(layout, [source for row in rows for source in row.sources])
     names: dict[str, object] = {}
     fast = _tree(rows, lambda row: row_expression(row, words, names, options, nulls=False))
@@ -77,10 +59,10 @@ def compile_group(
     if substituted:
         fast["substituted"] = slow["substituted"] = repr(substituted)
     present = [row for row in rows if any(words.refs(source) for source in row.sources)]
+    quality = model.worst(model.Quality.GOOD, *(row.quality for row in present))
     return Reader(
-        read=_compile_read(words, _build(struct_type, fast, names), _build(struct_type, slow, names), names),
+        read=_compile_read(words, _build(struct_type, fast, names), _build(struct_type, slow, names), names, quality),
         key=_compile_key(layout, [source for row in rows if not row.volatile for source in row.sources]),
-        quality=model.worst(model.Quality.GOOD, *(row.quality for row in present)),
         empty=struct_type(),
         volatile=tuple(row.path for row in rows if row.volatile),
     )
@@ -103,14 +85,13 @@ def compile_vendor(layout: Layout) -> Reader:
 
     empty = {field.name: None for field in layout.fields}
     return Reader(
-        read=_compile_read(words, text(nulls=False), text(nulls=True), {}),
+        read=_compile_read(words, text(nulls=False), text(nulls=True), {}, model.Quality.GOOD),
         key=_compile_key(layout, [field.name for field in layout.fields]),
-        quality=model.Quality.GOOD,
         empty=empty,
     )
 
 
-def raw_values(layout: Layout, raw: bytes, start: int, sources: Sequence[str]) -> dict[str, object]:
+def raw_words(layout: Layout, frame: Frame, sources: Sequence[str]) -> dict[str, object]:
     """Read the raw values of some sources, for events: rare, so nothing is compiled."""
     found: dict[str, object] = {}
     for source in sources:
@@ -118,13 +99,13 @@ def raw_values(layout: Layout, raw: bytes, start: int, sources: Sequence[str]) -
         if not field.present:
             found[source] = None
             continue
-        values = [field.shown(word) for word in struct_of(layout, [field]).unpack_from(raw, start)]
+        values = [field.shown(word) for word in struct_of(layout, [field]).unpack_from(frame.raw, frame.start)]
         shown = [finite(value if flag is None else flag_value(cast("int", value), flag)) for value in values]
         found[source] = shown[0] if field.count is None else shown
     return found
 
 
-def compile_words(layout: Layout, sources: Sequence[str]) -> Callable[[bytes, int], tuple[int | float, ...]] | None:
+def compile_words(layout: Layout, sources: Sequence[str]) -> ReadWords | None:
     """Compile the reader of all elements of some fields, in the order they are named; None where one is cut off."""
     fields = [find_source(layout, source)[0] for source in sources]
     if any(field.present < field.elements for field in fields):
@@ -138,8 +119,8 @@ def compile_words(layout: Layout, sources: Sequence[str]) -> Callable[[bytes, in
         at += field.elements
     order = [slot for field in fields for slot in slots[field.name]]
 
-    def read(raw: bytes, start: int) -> tuple[int | float, ...]:
-        found = words.unpack_from(raw, start)
+    def read(frame: Frame) -> tuple[object, ...]:
+        found = words.unpack_from(frame.raw, frame.start)
         return tuple(found[slot] for slot in order)
 
     return read
@@ -170,7 +151,7 @@ def _build(struct_type: type[msgspec.Struct], tree: _Tree, names: dict[str, obje
         if isinstance(value, str):
             parts.append(f"{name}={value}")
             continue
-        inner = _struct_inside(below[name])
+        inner = struct_inside(below[name])
         if inner is not None:
             parts.append(f"{name}={_build(inner, cast('_Tree', value), names)}")
         else:
@@ -178,20 +159,7 @@ def _build(struct_type: type[msgspec.Struct], tree: _Tree, names: dict[str, obje
     return f"{struct_type.__name__}({', '.join(parts)})"
 
 
-def _struct_inside(annotation: object) -> type[msgspec.Struct] | None:
-    """The struct in `Annotated[Struct | None, …]`, or None where it is a mapping."""
-    candidates = [annotation]
-    while candidates:
-        one = candidates.pop()
-        if isinstance(one, type) and issubclass(one, msgspec.Struct):
-            return one
-        if getattr(one, "__origin__", None) is dict:
-            return None
-        candidates += getattr(one, "__args__", ()) or ()
-    return None
-
-
-def _compile_read(words: Words, fast: str, slow: str, names: Mapping[str, object]) -> Read:
+def _compile_read(words: Words, fast: str, slow: str, names: Mapping[str, object], quality: model.Quality) -> Read:
     """Compile the pair of a fast function and one that meets non-finite words."""
     unpack_names = "".join(f"v{number}, " for number in range(words.count))
     assign = f"    ({unpack_names}) = words" if words.count else "    pass"
@@ -205,16 +173,18 @@ def _compile_read(words: Words, fast: str, slow: str, names: Mapping[str, object
         "    words = clean\n"
         f"{assign}\n"
         f"{strings}"
-        f"    return {slow}, bad\n"
-        "def read(raw, start):\n"
-        "    words = unpack(raw, start)\n"
+        f"    return {slow}, quality_bad if bad else quality\n"
+        "def read(frame):\n"
+        "    words = unpack(frame.raw, frame.start)\n"
         f"{assign}\n"
         f"{check}"
         f"{strings}"
-        f"    return {fast}, False\n"
+        f"    return {fast}, quality\n"
     )
     shown = {f"{kind}_of": to_string for kind, to_string in STRINGS.items()}
-    scope = {**names, **shown, "unpack": words.struct.unpack_from, "isfinite": math.isfinite, "finite": finite}
+    qualities = {"quality": quality, "quality_bad": model.Quality.BAD}
+    tools = {"unpack": words.struct.unpack_from, "isfinite": math.isfinite, "finite": finite}
+    scope = {**names, **shown, **qualities, **tools}
     exec(compile(source, f"<reader of {words.layout.name}>", "exec"), scope)  # noqa: S102 - made of tables, see the top
     return cast("Read", scope["read"])
 
@@ -236,9 +206,9 @@ def _compile_key(layout: Layout, sources: Iterable[str]) -> ReadKey:
             refs.append(f"{ref}, ")
             parts.append(f"{ref}, " if masks[field.name] == whole else f"{ref} & {masks[field.name]}, ")
     if refs == parts:
-        body = "    return unpack(raw, start)\n"
+        body = "    return unpack(frame.raw, frame.start)\n"
     else:
-        body = f"    ({''.join(refs)}) = unpack(raw, start)\n    return ({''.join(parts)})\n"
+        body = f"    ({''.join(refs)}) = unpack(frame.raw, frame.start)\n    return ({''.join(parts)})\n"
     scope: dict[str, object] = {"unpack": packing(layout, fields, _AS_BITS).unpack_from}
-    exec(compile(f"def key(raw, start):\n{body}", f"<key of {layout.name}>", "exec"), scope)  # noqa: S102 - made of tables
+    exec(compile(f"def key(frame):\n{body}", f"<key of {layout.name}>", "exec"), scope)  # noqa: S102 - made of tables
     return cast("ReadKey", scope["key"])

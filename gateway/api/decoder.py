@@ -1,19 +1,22 @@
-"""What a decoder is, and what comes out of one: frames, skipped frames, rejects and refusals.
+"""What a decoder is, and what comes out of one: frames, occurrences, skipped frames, rejects and refusals.
 
 Decoders do no I/O: bytes in, events out, bytes owed. One instance serves one session.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Literal, Protocol
+from collections.abc import Mapping, Sequence
+from typing import Literal, Protocol, runtime_checkable
 
 import msgspec
 
 from gateway.api.layout import Layout
-from gateway.api.model import Quality
+from gateway.api.model import EventKind, Quality
+from gateway.api.record import Record
 
 RefusedKind = Literal["out_of_step", "incompatible", "refused"]
+# What explains a frame: a table of bytes, or a table of named values.
+Table = Layout | Record
 
 
 class Frame(msgspec.Struct, frozen=True, gc=False):
@@ -26,15 +29,45 @@ class Frame(msgspec.Struct, frozen=True, gc=False):
         layout: The table that explains its payload.
         start: Where in `raw` the layout's offset 0 is.
         quality: UNCERTAIN where the frame is longer than its layout.
+        values: What a record's decoder has parsed, by name: all of its values or some, None where the controller could
+            not tell. Empty for a `Layout`, whose readers take them from `raw`.
     """
 
     raw: bytes
-    layout: Layout
+    layout: Table
     start: int = 0
     quality: Quality = Quality.GOOD
+    values: Mapping[str, object] = {}
 
     def __str__(self) -> str:
         return f"Frame({self.layout.name}, {len(self.raw)} bytes)"
+
+
+class Entry(msgspec.Struct, frozen=True):
+    """One thing that has happened, as an event of the robot will tell it.
+
+    Attributes:
+        kind: What happened.
+        data: A struct of the model.
+        raw: The vendor's raw values that it follows from.
+    """
+
+    kind: EventKind
+    data: object
+    raw: dict[str, object] = {}
+
+
+class Occurrence(msgspec.Struct, frozen=True):
+    """A frame that tells what has happened rather than what is: its entries become events of the topic `commands`.
+
+    It moves no deadline: only a `Frame` shows that the state is fresh.
+    """
+
+    raw: bytes
+    entries: tuple[Entry, ...]
+
+    def __str__(self) -> str:
+        return f"Occurrence({len(self.entries)} entries, {len(self.raw)} bytes)"
 
 
 class Skipped(msgspec.Struct, frozen=True, gc=False):
@@ -77,7 +110,7 @@ class Refused(msgspec.Struct, frozen=True, gc=False):
     kind: RefusedKind = "refused"
 
 
-Event = Frame | Skipped | Reject | Refused
+Event = Frame | Occurrence | Skipped | Reject | Refused
 
 
 class Decoder(Protocol):
@@ -91,6 +124,11 @@ class Decoder(Protocol):
     @property
     def notes(self) -> Sequence[str]:
         """What the operator should know of this session, one sentence each: shown in the link."""
+        ...
+
+    @property
+    def gaps(self) -> int | None:
+        """How many frames of this session the controller has numbered and we did not see; None: it tells no number."""
         ...
 
     def feed(self, data: bytes) -> list[Event]:
@@ -114,4 +152,13 @@ class Decoder(Protocol):
 
     def goodbye(self) -> bytes:
         """Return the bytes owed before a wanted close."""
+        ...
+
+
+@runtime_checkable
+class AskedDecoder(Protocol):
+    """A decoder that only reads, of a protocol whose answers do not say what they answer: it is told the questions."""
+
+    def asked(self, data: bytes) -> None:
+        """Take the bytes that were sent, one request; what is received from now on answers it."""
         ...

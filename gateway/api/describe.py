@@ -6,13 +6,16 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
-from gateway.api.layout import Field, Layout
+from gateway.api.decoder import Table
+from gateway.api.layout import Field
 from gateway.api.messages import Description, SourceInfo
 from gateway.api.model import FRAME_GROUPS, GROUPS, SAFETY_NOTICE
-from gateway.api.signals import Signal, find_source, keys_of
+from gateway.api.readers import unit_of
+from gateway.api.record import Record, Value
+from gateway.api.signals import Signal, keys_of
 
 
-def describe(topic: str, group: str, layout: Layout, signals: Iterable[Signal]) -> Description:
+def describe(topic: str, group: str, layout: Table, signals: Iterable[Signal]) -> Description:
     """Describe a topic of a robot.
 
     Args:
@@ -42,14 +45,14 @@ def group_schema(group: str) -> dict[str, object]:
     return {**schema, "$comment": SAFETY_NOTICE}
 
 
-def vendor_schema(layout: Layout) -> dict[str, object]:
+def vendor_schema(layout: Table) -> dict[str, object]:
     """The JSON Schema of the `vendor` group: every field under its manual name, in the manual's unit."""
     return {
         "type": "object",
         "title": "vendor",
         "description": f"Every field of the frame. Source: {layout.source}.",
         "$comment": SAFETY_NOTICE,
-        "properties": {field.name: _field_schema(field) for field in layout.fields},
+        "properties": _properties(layout),
     }
 
 
@@ -68,9 +71,25 @@ def _same_branch(key: str, told: str) -> bool:
     return key == told or key.startswith(f"{told}.") or told.startswith(f"{key}.")
 
 
-def _source(row: Signal, layout: Layout) -> SourceInfo:
-    found = [find_source(layout, source)[0] for source in row.sources]
-    return SourceInfo(fields=list(row.sources), units=[field.unit for field in found], quality=row.quality.value)
+def _source(row: Signal, table: Table) -> SourceInfo:
+    units = [unit_of(table, source) for source in row.sources]
+    return SourceInfo(fields=list(row.sources), units=units, quality=row.quality.value)
+
+
+def _properties(table: Table) -> dict[str, object]:
+    if isinstance(table, Record):
+        return {value.name: _value_schema(value) for value in table.fields}
+    return {field.name: _field_schema(field) for field in table.fields}
+
+
+def _value_schema(value: Value) -> dict[str, object]:
+    """The schema of a value of a record, whole in itself: what it refers to stands inside it."""
+    (found,), parts = msgspec.json.schema_components(
+        [value.type], ref_template="#/properties/" + value.name + "/$defs/{name}"
+    )
+    unit = {} if value.unit is None else {"unit": value.unit}
+    below = {"$defs": parts} if parts else {}
+    return {"anyOf": [found, {"type": "null"}], **below, **unit, "description": value.meaning}
 
 
 def _field_schema(field: Field) -> dict[str, object]:

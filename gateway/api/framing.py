@@ -13,6 +13,7 @@ from typing import Literal
 from gateway.api.decoder import Event, Frame, Refused, Reject, Skipped
 from gateway.api.layout import TYPES, Layout
 from gateway.api.model import Quality
+from gateway.api.numbers import Numbers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,6 +108,7 @@ class Framing:
         return max(kind.largest for kind in self.kinds)
 
 
+COUNTER_MODULUS = 256  # a counter has one byte
 _Wrong = tuple[str, str]  # the reason and the detail of a Reject
 
 
@@ -150,6 +152,13 @@ class FramedDecoder:
         self._starts = sorted({size for sizes in self._kinds.values() for size in sizes.layouts})
         self._buffer = b""
         self._length: int | None = None
+        self._counter_at = framing.counter_at
+        self._numbers = Numbers(COUNTER_MODULUS)
+
+    @property
+    def gaps(self) -> int | None:
+        """How many frames are missing by the controller's own counter; None: it tells no number."""
+        return self._numbers.gaps
 
     @property
     def pending(self) -> int:
@@ -254,6 +263,8 @@ class FramedDecoder:
             if any(self._begins(raw, start) for start in self._starts):
                 return "straddle", f"{sizes.kind.name} of {total} bytes holds the header of another"
             self._length = total
+        if self._counter_at is not None:
+            self._numbers.take(raw[self._counter_at])
         exact = sizes.layouts.get(total)
         if exact is not None:
             return Frame(raw, exact, framing.layout_at)

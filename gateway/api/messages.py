@@ -26,6 +26,7 @@ Id = Annotated[int | str, Meta(description="Chosen by the client; stands in the 
 Globs = Annotated[list[str], Meta(min_length=1, max_length=256, description="Topic globs: */joints, r1/*.")]
 Mode = Literal["latest", "all"]
 Name = Annotated[str, Meta(description="Name of an event, boot:seq: read on after it.")]
+Since = Name | Annotated[list[Name], Meta(min_length=1, max_length=256, description="One name for each ring.")]
 
 
 class Subscribe(msgspec.Struct, tag_field="op", tag="subscribe", forbid_unknown_fields=True, kw_only=True):
@@ -36,7 +37,7 @@ class Subscribe(msgspec.Struct, tag_field="op", tag="subscribe", forbid_unknown_
     rate_hz: Annotated[float, Meta(gt=0, le=MAX_RATE_HZ, description="At most so often; phase-locked.")] | None = None
     mode: Annotated[Mode, Meta(description="The newest value, or every sample up to a bound.")] = "latest"
     fields: Annotated[list[str], Meta(min_length=1, description="Dotted paths in data: only these.")] | None = None
-    since: Name | None = None
+    since: Since | None = None
 
 
 class Unsubscribe(msgspec.Struct, tag_field="op", tag="unsubscribe", forbid_unknown_fields=True, kw_only=True):
@@ -53,10 +54,10 @@ class Get(msgspec.Struct, tag_field="op", tag="get", forbid_unknown_fields=True,
 
 
 class Events(msgspec.Struct, tag_field="op", tag="events", forbid_unknown_fields=True, kw_only=True):
-    """Read events back from the ring."""
+    """Read events back from the rings."""
 
     id: Id
-    since: Name | None = None
+    since: Since | None = None
     limit: Annotated[int, Meta(ge=1, le=MAX_EVENTS)] = 1000
     topics: Globs = msgspec.field(default_factory=lambda: ["*"])
 
@@ -161,6 +162,9 @@ class Result(msgspec.Struct, tag_field="op", tag="result", frozen=True, kw_only=
 
     id: int | str
     topics: Annotated[list[str], Meta(description="subscribe: the topics that match now.")] | None = None
+    last_events: (
+        Annotated[list[str], Meta(description="subscribe: the newest event of each ring that the topics have.")] | None
+    ) = None
     samples: Annotated[list[Sample], Meta(description="get.")] | None = None
     events: Annotated[list[Event], Meta(description="events.")] | None = None
     missed: Annotated[int, Meta(description="events: how many are gone; -1: their number is not known.")] | None = None

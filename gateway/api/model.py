@@ -345,6 +345,10 @@ class Link(msgspec.Struct, frozen=True, kw_only=True):
     layout: Annotated[str | None, _is("The layout of the frames of this session.")] = None
     requested_hz: Annotated[float | None, _in("Hz", "Rate asked for; null where the controller sets it.")] = None
     reached_hz: Annotated[float | None, _in("Hz", "Rate reached by the last frames, rounded.")] = None
+    parts_hz: Annotated[
+        dict[str, float],
+        _in("Hz", "Rate reached by each part of the state, rounded, where the controller tells it in parts."),
+    ] = {}
     last_error: Annotated[str | None, _is("The last reason why the link was lost.")] = None
     next_attempt: Annotated[int | None, _in("µs", "When the next attempt is due, UTC since 1970.")] = None
     notes: Annotated[list[str], _is("What the operator should know of this link, one sentence each.")] = []
@@ -389,13 +393,16 @@ class EventKind(StrEnum):
     COLLISION_CLEARED = "collision.cleared"
     FAULT_RAISED = "fault.raised"
     FAULT_CLEARED = "fault.cleared"
+    COMMAND_ISSUED = "command.issued"
+    COMMAND_EXECUTED = "command.executed"
+    COMMAND_MISSED = "command.missed"
 
 
 class Event(msgspec.Struct, frozen=True, kw_only=True):
-    """An edge: something changed, and when. Lossless inside a bounded ring."""
+    """Something changed or happened, and when. Lossless inside a bounded ring."""
 
-    name: Annotated[str, _is("`boot:seq`: boot is new at each start of the gateway.")]
-    seq: Annotated[int, _is("Counts the events of one boot.")]
+    name: Annotated[str, _is("`boot:seq`: boot is new for each ring and at each start of the gateway.")]
+    seq: Annotated[int, _is("Counts the events of one ring.")]
     robot: Annotated[str, _is("Name of the robot.")]
     t: Annotated[int, _in("µs", "Receive time of the frame that showed it, UTC since 1970.")]
     kind: Annotated[EventKind, _is("What happened.")]
@@ -404,6 +411,38 @@ class Event(msgspec.Struct, frozen=True, kw_only=True):
     raw: Annotated[
         dict[str, Annotated[object, _is("A raw value.")]], _is("The vendor's raw values that it follows from.")
     ] = {}
+
+    @property
+    def boot(self) -> str:
+        """The part of its name that all events of its ring share."""
+        return self.name.rpartition(":")[0]
+
+
+class Command(msgspec.Struct, frozen=True, kw_only=True):
+    """One command object that the cell's own application has given to the controller: `to` of `command.issued`."""
+
+    id: Annotated[str, _is("The vendor's name of the list that it was given in; its feedback carries the same.")]
+    type: Annotated[str, _is("The vendor's class of the object.")]
+    index: Annotated[int, _is("Its place in the list, from 0.")]
+    total: Annotated[int, _is("How many objects the list has.")]
+    object: Annotated[dict[str, object], _is("The object under the vendor's names and in the vendor's units.")]
+
+
+class CommandFeedback(msgspec.Struct, frozen=True, kw_only=True):
+    """How far a list of command objects was carried out: `to` of `command.executed`."""
+
+    id: Annotated[str, _is("The vendor's name of the list.")]
+    index: Annotated[int | None, _is("The object that this is about: its place in the list, from 0.")] = None
+    reached: Annotated[bool | None, _is("Its target was reached.")] = None
+    error: Annotated[Annotated[object, _is("A value.")], _is("The vendor's error, where there is one.")] = None
+    text: Annotated[str | None, _is("The vendor's words.")] = None
+    custom: Annotated[str | None, _is("What the application has put into the object to find it again.")] = None
+
+
+class CommandsMissed(msgspec.Struct, frozen=True, kw_only=True):
+    """What the stream itself has lost, as its sender says: `to` of `command.missed`."""
+
+    count: Annotated[int, _is("How many messages.")]
 
 
 Delivery = Literal["sample", "state", "event"]
@@ -433,6 +472,7 @@ GROUPS: dict[str, Group] = {
         Group("link", "state", Link, "The association with the robot."),
         Group("link_stats", "sample", LinkStats, "Counters of the link, once a second."),
         Group("events", "event", Event, "Edges."),
+        Group("commands", "event", Event, "Command objects seen on the stream, and how they were carried out."),
         Group("vendor", "sample", None, "Every field of the vendor's frame, under its manual name and unit."),
     )
 }

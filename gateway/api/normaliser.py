@@ -1,12 +1,13 @@
-"""The normaliser: from frames to canonical groups, with one compiled reader per (layout, group)."""
+"""The normaliser: from frames to canonical groups, with one reader per (table, group)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from gateway.api.compiler import Reader, compile_group, compile_vendor
-from gateway.api.layout import Layout
+from gateway.api.decoder import Table
 from gateway.api.model import FRAME_GROUPS
+from gateway.api.reader import Reader
+from gateway.api.readers import group_reader, vendor_reader
 from gateway.api.signals import Signal
 
 
@@ -24,21 +25,26 @@ class Normaliser:
     def __init__(self, signals: Iterable[Signal], options: Mapping[str, object]) -> None:
         self.signals = tuple(signals)
         self._options = options
-        self._readers: dict[int, tuple[Layout, dict[str, Reader]]] = {}
+        self._readers: dict[int, tuple[Table, dict[str, Reader]]] = {}
         told = {signal.group for signal in self.signals}
         self.groups = (*(group for group in FRAME_GROUPS if group in told), "vendor")
 
-    def readers(self, layout: Layout) -> dict[str, Reader]:
-        """The readers of every group for frames of one layout; compiled when first asked for."""
+    def readers(self, layout: Table) -> dict[str, Reader]:
+        """The readers of every group for frames of one table; made when first asked for."""
         found = self._readers.get(id(layout))
         if found is None:
-            readers = {"vendor": compile_vendor(layout)}
+            readers = {"vendor": vendor_reader(layout)}
             for group in self.groups:
-                reader = compile_group(group, layout, self.signals, self._options) if group != "vendor" else None
+                reader = group_reader(group, layout, self.signals, self._options) if group != "vendor" else None
                 if reader is not None:
                     readers[group] = reader
             found = self._readers[id(layout)] = (layout, readers)
         return found[1]
+
+    def group_sources(self, group: str) -> tuple[str, ...]:
+        """The sources that a group follows from."""
+        rows = (signal for signal in self.signals if signal.group == group)
+        return tuple(dict.fromkeys(source for row in rows for source in row.sources))
 
     def sources(self, key: str) -> tuple[str, ...]:
         """The sources that a key, or a whole subtree of keys, follows from."""

@@ -33,6 +33,11 @@ class Polled:
         """Whether frames may come: such protocols need no handshake."""
         return self._decoder.ready
 
+    @property
+    def gaps(self) -> int | None:
+        """What the frames themselves tell."""
+        return self._decoder.gaps
+
     def feed(self, data: bytes) -> list[Event]:
         """Take received bytes; a frame without a request is rejected and ends the session."""
         events = self._decoder.feed(data)

@@ -31,6 +31,7 @@ class Signal:
         rotation: How the three angles of a `mm|deg` source turn; None leaves the orientation null.
         quality: SUBSTITUTED for a commanded value that is shown as measured, UNCERTAIN for a reading not established.
         volatile: Whether the value always changes: it never makes a state topic publish by itself.
+        doubt: Of a record: says, of what `via` takes, whether this value is UNCERTAIN; None: it never is.
     """
 
     key: str
@@ -41,6 +42,7 @@ class Signal:
     rotation: Rotation | None = None
     quality: Quality = Quality.GOOD
     volatile: bool = False
+    doubt: Callable[..., bool] | None = None
 
     @property
     def group(self) -> str:
@@ -113,6 +115,19 @@ def find_source(layout: Layout, source: str) -> tuple[Field, Flag | None]:
     if source in layout.flag_owner:
         return layout.flag_owner[source]
     raise ValueError(f"layout {layout.name} has no field or flag {source!r}")
+
+
+def struct_inside(annotation: object) -> type[msgspec.Struct] | None:
+    """The struct in `Annotated[Struct | None, …]`, or None where it is a mapping."""
+    candidates = [annotation]
+    while candidates:
+        one = candidates.pop()
+        if isinstance(one, type) and issubclass(one, msgspec.Struct):
+            return one
+        if getattr(one, "__origin__", None) is dict:
+            return None
+        candidates += getattr(one, "__args__", ()) or ()
+    return None
 
 
 def _paths(type_: inspect.Type) -> Iterable[str]:

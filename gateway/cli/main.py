@@ -21,6 +21,7 @@ _COMMANDS = {
     "probe": ("gateway.cli.probe", "probe_command"),
     "vendors": ("gateway.cli.vendors", "vendors"),
     "vendor-check": ("gateway.cli.vendor_check", "vendor_check"),
+    "validate": ("gateway.cli.validate", "app"),
     "simulate": ("gateway.cli.simulate", "app"),
     "demo": ("gateway.cli.demo", "demo"),
 }

@@ -8,12 +8,11 @@ from __future__ import annotations
 import inspect
 import signal
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from textwrap import indent
-from typing import Annotated, TypedDict, TypeVar, cast, get_args
+from typing import Annotated, TypedDict, cast
 
 import anyio
 import msgspec
@@ -21,8 +20,9 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from gateway.cli.common import fail, tell
+from gateway.cli.struct_options import VendorDirs, checked, command, parameters, read, registry_of
 from gateway.core.registry import Registry
-from gateway.errors import ConfigError, UnknownVendor, VendorError
+from gateway.errors import UnknownVendor, VendorError
 from gateway.sim.chaos import ChaosPlan, explain, parse_chaos
 from gateway.sim.scenario import SCENARIOS, Scenario, find_scenario
 from gateway.sim.server import SimulatorError, VirtualController, addresses, serve
@@ -55,26 +55,17 @@ Chaos (RATE is for each frame, 0 to 1; times in seconds):
 {chaos}
 """
 
-_WIDEST_CHOICES = 60
-
-T = TypeVar("T")
-
-VendorDirs = Annotated[
-    list[Path] | None,
-    typer.Option("--vendor-dir", metavar="DIR", is_eager=True, help="A folder of further vendors; may be repeated."),
-]
-
 
 class VendorGroup(TyperGroup):
     """A group whose subcommands are the vendors, each made when it is asked for."""
 
     def list_commands(self, ctx: object) -> list[str]:
         """Return the names of the vendors."""
-        return _registry(ctx).names()
+        return registry_of(ctx).names()
 
     def get_command(self, ctx: object, cmd_name: str) -> TyperCommand | None:
         """Make the command of a vendor; that of a broken vendor says what is wrong with it."""
-        registry = _registry(ctx)
+        registry = registry_of(ctx)
         try:
             return _runner(cmd_name, _simulator(registry, cmd_name))
         except UnknownVendor as error:
@@ -132,39 +123,21 @@ def _common(
     seconds: Annotated[float | None, typer.Option(min=0, help="End after so many seconds.")] = None,
 ) -> _Common:
     """Check the options that every vendor has, by their parameters."""
-    _checked("--host", partial(addresses, host, count))
+    checked("--host", partial(addresses, host, count))
     return {
         "host": host,
         "port": port,
         "count": count,
-        "scenario": _checked("--scenario", partial(find_scenario, scenario)),
-        "chaos": _checked("--chaos", partial(parse_chaos, chaos)),
+        "scenario": checked("--scenario", partial(find_scenario, scenario)),
+        "chaos": checked("--chaos", partial(parse_chaos, chaos)),
         "seed": seed,
         "seconds": seconds,
     }
 
 
-def _options(simulator: Simulator) -> Iterator[inspect.Parameter]:
-    """The vendor's own options as parameters: typer shows and reads them, the struct checks them."""
-    for field in msgspec.structs.fields(simulator.options):
-        value_type, *meta = get_args(field.type) if hasattr(field.type, "__metadata__") else (field.type,)
-        text = next((item.description for item in meta if isinstance(item, msgspec.Meta)), None)
-        flag = f"--{field.name.replace('_', '-')}"
-        # Choices too many for a line are left to the description.
-        wide = len("|".join(map(str, get_args(value_type)))) > _WIDEST_CHOICES
-        metavar = field.name.upper() if wide else None
-        option = typer.Option(flag, help=text, metavar=metavar, rich_help_panel="The vendor's own options")
-        yield inspect.Parameter(
-            field.name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=field.default,
-            annotation=Annotated[value_type, option],
-        )
-
-
 def _runner(vendor: str, simulator: Simulator) -> TyperCommand:
     """Make the command that runs a vendor's virtual controllers."""
-    own = list(_options(simulator))
+    own = list(parameters(simulator.options))
     common = list(inspect.signature(_common, eval_str=True).parameters.values())
     clash = sorted({parameter.name for parameter in own} & {parameter.name for parameter in common})
     if clash:
@@ -175,9 +148,9 @@ def _runner(vendor: str, simulator: Simulator) -> TyperCommand:
     def run(**values: object) -> None:
         mine = {parameter.name: values.pop(parameter.name) for parameter in own}
         common_values = cast("Callable[..., _Common]", _common)(**values)
-        options = _checked("the vendor's own options", partial(msgspec.convert, mine, simulator.options))
+        options = read(simulator.options, mine)
         order = _Order(vendor=vendor, simulator=simulator, options=options, common=common_values)
-        _checked("--port", partial(simulator.port_numbers, order.common["port"]))
+        checked("--port", partial(simulator.port_numbers, order.common["port"]))
         try:
             anyio.run(_serve, order, backend_options={"use_uvloop": True})
         except SimulatorError as error:
@@ -185,7 +158,7 @@ def _runner(vendor: str, simulator: Simulator) -> TyperCommand:
 
     width = max(map(len, SCENARIOS))
     scenarios = "\n".join(f"  {found.name:{width}}  {found.meaning}" for found in SCENARIOS.values())
-    return _command(
+    return command(
         vendor,
         _VENDOR_HELP.format(vendor=vendor, scenarios=scenarios, chaos=indent(explain(), "  ")),
         [*common, *own],
@@ -199,29 +172,7 @@ def _broken(vendor: str, error: VendorError) -> TyperCommand:
     def run() -> None:
         fail(str(error))
 
-    return _command(vendor, f"Cannot be simulated: {error.reason}", [], run)
-
-
-def _command(
-    name: str,
-    text: str,
-    parameters: Sequence[inspect.Parameter],
-    run: Callable[..., None],
-) -> TyperCommand:
-    """Make a command of parameters that only the running program knows."""
-    vars(run)["__signature__"] = inspect.Signature(parameters)
-    run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    one = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
-    one.command(name, help=text, short_help=text.partition("\n")[0])(run)
-    return cast("TyperCommand", typer.main.get_command(one))
-
-
-def _registry(ctx: object) -> Registry:
-    dirs = cast("typer.Context", ctx).params.get("vendor_dir") or []
-    try:
-        return Registry([Path(folder) for folder in dirs])
-    except ConfigError as error:
-        raise typer.BadParameter(str(error), param_hint="--vendor-dir") from None
+    return command(vendor, f"Cannot be simulated: {error.reason}", [], run)
 
 
 def _simulator(registry: Registry, vendor: str) -> Simulator:
@@ -229,14 +180,6 @@ def _simulator(registry: Registry, vendor: str) -> Simulator:
     if not isinstance(found, Simulator):
         raise VendorError(vendor, f"its SIMULATOR is no Simulator record but {type(found).__name__}")
     return found
-
-
-def _checked(option: str, make: Callable[[], T]) -> T:
-    """Turn a wrong value into a usage error that names its option."""
-    try:
-        return make()
-    except ValueError as error:
-        raise typer.BadParameter(str(error), param_hint=option) from None
 
 
 async def _serve(order: _Order) -> None:
@@ -265,7 +208,9 @@ async def _serve(order: _Order) -> None:
 
 
 def _announce(vendor: str, controller: VirtualController) -> None:
-    ports = ", ".join(f"{controller.host}:{port} ({protocol or 'no state'})" for protocol, port in controller.ports)
-    typer.echo(f"{vendor} {ports}")
+    host = controller.host
+    ports = [f"{host}:{port} ({protocol or 'no state'})" for protocol, port in controller.ports]
+    calls = [f"{host} calls {gateway} ({protocol or 'no state'})" for protocol, gateway in controller.calls]
+    typer.echo(f"{vendor} {', '.join((*ports, *calls))}")
     for problem in controller.missing:
         tell("warning:", "yellow", f"goes on without {problem}")

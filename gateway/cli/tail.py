@@ -43,7 +43,10 @@ Fields = Annotated[
 FormatOption = Annotated[Format, typer.Option("--format", "-f", help="table: for people; json, csv: a line a sample.")]
 Count = Annotated[int | None, typer.Option("--count", "-n", min=1, help="End after so many samples or events.")]
 Since = Annotated[
-    str | None, typer.Option(metavar="BOOT:SEQ", help="Events after this one first, as far as they are kept.")
+    list[str] | None,
+    typer.Option(
+        metavar="BOOT:SEQ", help="Events after this one first, as far as they are kept; once for each ring of events."
+    ),
 ]
 
 
@@ -88,7 +91,7 @@ async def _follow(
     rate_hz: float | None,
     mode: Mode,
     fields: list[str] | None,
-    since: str | None,
+    since: list[str] | None,
 ) -> None:
     async with connect(url) as client:
         names = await client.subscribe(topics, rate_hz=rate_hz, mode=mode, fields=fields, since=since)
@@ -121,7 +124,7 @@ class Printer:
     async def learn_units(self, client: Client, topics: list[str]) -> None:
         """Ask the gateway for the units of each topic's fields."""
         for topic in topics:
-            if not topic.endswith("/events"):
+            if not topic.endswith(("/events", "/commands")):
                 self._units[topic] = units_of((await client.describe(topic)).schema)
 
     def take(self, message: Pushed) -> bool:

@@ -27,7 +27,7 @@ class ProtocolRow(msgspec.Struct, frozen=True):
 
     name: str
     title: str
-    port: int
+    port: int | None
     reads: str
     rate_hz: float | None
     max_rate_hz: float | None
@@ -104,9 +104,13 @@ def _table(rows: list[VendorRow]) -> Table:
         first = (row.name, row.title, row.source)
         for protocol in row.protocols:
             name, title, source = map(Text, map(str, first))
-            table.add_row(name, title, Text(protocol.name), str(protocol.port), _reads(protocol), source)
+            table.add_row(name, title, Text(protocol.name), _port(protocol), _reads(protocol), source)
             first = ("", "", "")
     return table
+
+
+def _port(protocol: ProtocolRow) -> str:
+    return "as set" if protocol.port is None else str(protocol.port)
 
 
 def _reads(protocol: ProtocolRow) -> str:

@@ -14,6 +14,7 @@ from gateway.core.settings import EstopPolarity
 
 TOP_KEYS = ("vendor_dirs", "server", "robots")
 STALE_PERIODS = 5  # a link is not called stale before this many answers are missing
+PART_PERIODS = 2  # nor a value that comes in turn with others, before this many of its own
 STALE_LEAST_S = 0.02
 
 Name = Annotated[

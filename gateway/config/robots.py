@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import msgspec
 
 from gateway.api.vendor import Vendor
-from gateway.config.keys import STALE_PERIODS, RobotTable, canonical, host_fault
+from gateway.config.keys import PART_PERIODS, STALE_PERIODS, RobotTable, canonical, host_fault
 from gateway.config.problems import hint, quoted, read_fields
 from gateway.core.registry import Registry
 from gateway.core.settings import BrokenRobot, RobotSettings
@@ -97,11 +98,11 @@ class Robots:
                 f"remove the table or set protocol = {quoted(other)}",
             )
         options = self._options((*path, protocol.name), raw.get(protocol.name, {}), protocol)
-        port = self._port(path, values, protocol, options)
+        port = self._port(path, raw, values, protocol, options)
         clock_zone = self._clock_zone(path, values, protocol)
         rate_hz = self._rate_hz(path, values, protocol)
-        stale_s = self._stale_s(path, values, protocol, rate_hz)
-        if options is None or not {"name", "host"} <= values.keys():
+        stale_s = self._stale_s(path, values, protocol, options, rate_hz)
+        if options is None or port is None or not {"name", "host"} <= values.keys():
             return None
         table = msgspec.convert({**values, "vendor": vendor.name}, RobotTable)
         return RobotSettings(
@@ -140,21 +141,35 @@ class Robots:
             self._problems.add((*path, "protocol"), told)
             return None
 
-    def _port(self, path: Path, values: Table, protocol: Protocol, options: msgspec.Struct | None) -> int:
-        """The port; no two robots may share a controller, which has one connection to give."""
-        port = values.get("port")
-        port = port if isinstance(port, int) else protocol.port_of(options or protocol.options())
-        host = values.get("host")
-        if isinstance(host, str):
-            address = (canonical(host), port)
-            if protocol.transport(options or protocol.options()) == "tcp":
-                self._refuse_listener(path, address)
-            if address in self._addresses:
-                name, first = self._addresses[address]
-                line = self._problems.line((*first, "host"))
+    def _port(
+        self, path: Path, raw: Table, values: Table, protocol: Protocol, options: msgspec.Struct | None
+    ) -> int | None:
+        """The port; no two robots may share a controller, which has one connection to give, nor a listener of ours."""
+        given = values.get("port")
+        known = options or protocol.options()
+        port = given if isinstance(given, int) else protocol.port_of(known)
+        if port is None:
+            if "port" not in raw:
+                told = f"is missing: protocol {quoted(protocol.name)} has no port of its own; give the one set there"
+                self._problems.add((*path, "port"), told)
+            return None
+        transport = protocol.transport(known)
+        host = str(getattr(known, "listen", "")) if transport == "tcp_server" else values.get("host")
+        if not isinstance(host, str):
+            return port
+        address = (canonical(host), port)
+        if transport != "udp":
+            self._refuse_listener(path, address)
+        if address in self._addresses:
+            name, first = self._addresses[address]
+            line = self._problems.line((*first, "host"))
+            if transport == "tcp_server":
+                told = f"{host} port {port} is already used by robot {name} (line {line}); give each its own port"
+                self._problems.add((*path, "port"), told)
+            else:
                 told = f"{host} port {port} is already read by robot {name} (line {line}); one controller is one robot"
                 self._problems.add((*path, "host"), told)
-            self._addresses.setdefault(address, (quoted(values.get("name", "")), path))
+        self._addresses.setdefault(address, (quoted(values.get("name", "")), path))
         return port
 
     def _refuse_listener(self, path: Path, address: tuple[str, int]) -> None:
@@ -193,14 +208,21 @@ class Robots:
             self._problems.add((*path, "rate_hz"), told)
         return given
 
-    def _stale_s(self, path: Path, values: Table, protocol: Protocol, rate_hz: float | None) -> float:
+    def _stale_s(
+        self, path: Path, values: Table, protocol: Protocol, options: msgspec.Struct | None, rate_hz: float | None
+    ) -> float:
         least = STALE_PERIODS / rate_hz if rate_hz else 0.0
+        why = f"for {rate_hz:g} Hz: at least {least:g}, which is {STALE_PERIODS} periods" if rate_hz else ""
+        if rate_hz and protocol.slowest_s and options is not None:
+            slowest_s = protocol.slowest_s(options, rate_hz)
+            if PART_PERIODS * slowest_s > least:
+                least = math.ceil(PART_PERIODS * slowest_s * 10) / 10
+                why = f"for values that are asked for every {slowest_s:.3g} s: at least {least:g}"
         given = values.get("stale_s")
         if not isinstance(given, float):
             return max(protocol.stale_s, least)
         if given < least:
-            told = f"{given:g} is too short for {rate_hz:g} Hz: at least {least:g}, which is {STALE_PERIODS} periods"
-            self._problems.add((*path, "stale_s"), told)
+            self._problems.add((*path, "stale_s"), f"{given:g} is too short {why}")
         return given
 
     def _options(self, path: Path, raw: object, protocol: Protocol) -> msgspec.Struct | None:

@@ -12,9 +12,9 @@ from typing import Literal, Protocol
 
 import msgspec
 
-from gateway.api.compiler import Reader
 from gateway.api.decoder import Frame
 from gateway.api.model import GROUPS, Event, EventKind, Group, Quality, Sample, Status, worst
+from gateway.api.reader import Reader
 from gateway.core.events import EventRing
 
 Origin = Literal["live", "sim", "replay"]
@@ -60,16 +60,18 @@ class Topic:
         group: The group of the model.
         latest: The newest reading; None only for event topics.
         listeners: Who is told.
+        ring: Where the events of an event topic are kept; None for the others.
     """
 
-    __slots__ = ("group", "latest", "listeners", "name", "robot")
+    __slots__ = ("group", "latest", "listeners", "name", "ring", "robot")
 
-    def __init__(self, robot: str, group: Group) -> None:
+    def __init__(self, robot: str, group: Group, ring: EventRing | None = None) -> None:
         self.name = f"{robot}/{group.name}"
         self.robot = robot
         self.group = group
         self.latest: Reading | None = None
         self.listeners: list[Listener] = []
+        self.ring = ring
 
 
 class ValueReading:
@@ -131,13 +133,14 @@ class FrameStream:
 class FrameReading:
     """What one frame says: one object for all its topics, normalised group by group when first asked."""
 
-    __slots__ = ("_samples", "encoded", "frame", "seq", "stream", "t")
+    __slots__ = ("_samples", "encoded", "frame", "seq", "stream", "t", "timed")
 
-    def __init__(self, stream: FrameStream, frame: Frame, seq: int, t: int) -> None:
+    def __init__(self, stream: FrameStream, frame: Frame, seq: int, t: int, timed: Frame | None = None) -> None:
         self.stream = stream
         self.frame = frame
         self.seq = seq
         self.t = t
+        self.timed = timed or frame  # the one whose clock counts: of several parts the oldest
         self._samples: dict[str, Sample] = {}
         self.encoded: dict[object, bytes] = {}
 
@@ -169,24 +172,22 @@ class FrameReading:
     def _normalised(self, topic: Topic, reader: Reader) -> Sample:
         stream = self.stream
         try:
-            data, bad = reader.read(self.frame.raw, self.frame.start)
+            data, quality = reader.read(self.frame)
         except (Exception, SystemExit) as error:  # noqa: BLE001 - a plugin's mistake costs its group and no more
             stream.on_broken(topic.group.name, error)
-            data, bad = reader.empty, True
+            data, quality = reader.empty, Quality.BAD
         if isinstance(data, Status):
             data = stream.stamped(data)
-        quality = reader.quality
+        if quality is Quality.BAD:
+            stream.on_bad()
         if stream.quality is not Quality.GOOD:
             quality = worst(quality, stream.quality)
-        if bad:
-            quality = worst(quality, Quality.BAD)
-            stream.on_bad()
         return Sample(
             topic=topic.name,
             seq=self.seq,
             epoch=stream.epoch,
             t=self.t,
-            t_src=None if stream.t_src is None else stream.t_src(self.frame),
+            t_src=None if stream.t_src is None else stream.t_src(self.timed),
             q=quality,
             origin=stream.origin,
             data=data,
@@ -194,10 +195,10 @@ class FrameReading:
 
 
 class Bus:
-    """All topics of the gateway, and the ring of its events.
+    """All topics of the gateway, and the rings of its events.
 
     Args:
-        events: The ring.
+        events: The ring of every robot's edges; what else is an event has a ring of its own, as large as this.
     """
 
     def __init__(self, events: EventRing) -> None:
@@ -206,7 +207,7 @@ class Bus:
 
     def add(self, robot: str, groups: Iterable[str]) -> dict[str, Topic]:
         """Make the topics of a robot, by group."""
-        made = {group: Topic(robot, GROUPS[group]) for group in groups}
+        made = {group: Topic(robot, GROUPS[group], self._ring(GROUPS[group])) for group in groups}
         self.topics.update({topic.name: topic for topic in made.values()})
         return made
 
@@ -230,7 +231,14 @@ class Bus:
         after: object,
         raw: dict[str, object],
     ) -> None:
-        """Put an edge into the ring and tell the listeners of the robot's event topic."""
-        event = self.events.append(topic.robot, t, kind, before, after, raw)
+        """Put an event into its topic's ring and tell the listeners."""
+        if topic.ring is None:
+            raise ValueError(f"{topic.name} has no events")
+        event = topic.ring.append(topic.robot, t, kind, before, after, raw)
         for listener in topic.listeners:
             listener.on_event(topic, event)
+
+    def _ring(self, group: Group) -> EventRing | None:
+        if group.delivery != "event":
+            return None
+        return self.events if group.name == "events" else EventRing(self.events.capacity)

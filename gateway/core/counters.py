@@ -3,30 +3,31 @@
 from __future__ import annotations
 
 import statistics
-from collections import Counter
-from collections.abc import Sequence
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
 
-from gateway.api.decoder import Event, Frame, Reject, Skipped
+from gateway.api.decoder import Event, Frame, Occurrence, Reject, Skipped
 from gateway.api.model import LinkStats
 
 # A reached rate is said anew when it differs by more than this share: it is for people, and each change is published.
 _RATE_STEP = 0.02
-# A frame counter of one byte that goes back by less than half its range: the frame was overtaken.
-_LATE = 0x80
+_PART_STEP = 0.2
+# The rate of a part follows from so many of its last arrivals: some come once in a few seconds.
+_PART_ARRIVALS = 8
 
 
 class LinkCounters:
     """The counters of one link.
 
     Args:
-        counter_at: Offset in a frame of the byte that numbers the frames, or None.
+        parts: Whether the rate of each value is of interest: they are asked for in turn.
     """
 
-    def __init__(self, counter_at: int | None = None) -> None:
-        self._counter_at = counter_at
-        self._number: int | None = None
-        self._gaps = 0
-        self._moves = False
+    def __init__(self, *, parts: bool = False) -> None:
+        self._parts = parts
+        self._gaps: int | None = None  # of the sessions that are over
+        self._parts_s: dict[str, deque[float]] = {}
+        self.parts_hz: dict[str, float] = {}
         self.frames = self.skipped = self.sessions = self.n_bytes = 0
         self.rejects: Counter[str] = Counter()
         self.last_frame_s: float | None = None
@@ -38,8 +39,12 @@ class LinkCounters:
     def begin(self) -> None:
         """A session has begun: its first frame has no predecessor."""
         self.sessions += 1
-        self._number = None
         self._times_s.clear()
+        self._parts_s.clear()
+
+    def end(self, gaps: int | None) -> None:
+        """A session is over, in which so many frames were missing."""
+        self._gaps = _sum(self._gaps, gaps)
 
     def take(self, n_bytes: int, events: Sequence[Event], at_s: float, decode_s: float) -> None:
         """Count what one read has brought."""
@@ -51,29 +56,40 @@ class LinkCounters:
                 self.frames += 1
                 self._times_s.append(at_s)
                 self.last_frame_s = at_s
-                if self._counter_at is not None:
-                    self._number_is(event.raw[self._counter_at])
+                for name in event.values if self._parts else ():
+                    self._parts_s.setdefault(name, deque(maxlen=_PART_ARRIVALS)).append(at_s)
             elif type(event) is Reject:
                 self.rejects[event.reason] += 1
-            elif type(event) is Skipped:
+            elif type(event) is Skipped or type(event) is Occurrence:
                 self.skipped += 1
 
-    def second(self, now_s: float, bad_values: int, clock_offset_s: float | None = None) -> LinkStats:
+    def second(
+        self,
+        now_s: float,
+        bad_values: int,
+        clock_offset_s: float | None = None,
+        *,
+        gaps: int | None = None,
+        refused: Mapping[str, int] = {},
+    ) -> LinkStats:
         """Close the last second and return the counters.
 
         Args:
             now_s: Monotonic time.
             bad_values: Groups that held NaN or infinity.
             clock_offset_s: The controller's clock minus ours, or None.
+            gaps: Frames that are missing in the session that runs, or None.
+            refused: What the transport has refused, by reason.
         """
         intervals = sorted(after - before for before, after in zip(self._times_s, self._times_s[1:], strict=False))
         self._update_rate(intervals)
+        self._update_parts()
         stats = LinkStats(
             frames=self.frames,
             skipped=self.skipped,
-            rejects=dict(self.rejects),
+            rejects={**self.rejects, **refused},
             bad_values=bad_values,
-            gaps=self._gaps if self._moves else None,
+            gaps=_sum(self._gaps, gaps),
             sessions=self.sessions,
             n_bytes=self.n_bytes,
             age=None if self.last_frame_s is None else round(now_s - self.last_frame_s, 6),
@@ -87,18 +103,14 @@ class LinkCounters:
         self._reads = 0
         return stats
 
-    def _number_is(self, number: int) -> None:
-        """Count what is missing before a frame; a counter that was never seen to move tells nothing."""
-        before, self._number = self._number, number
-        step = 0 if before is None else (number - before) & 0xFF
-        if step == 0:
-            return
-        self._moves = True
-        if step > _LATE:  # an older frame, counted as missing when the newer one came
-            self._gaps = max(0, self._gaps - 1)
-            self._number = before
-        else:
-            self._gaps += step - 1
+    def _update_parts(self) -> None:
+        """Rates of the parts, said anew only where one has really changed."""
+        told = {name: rate for name, times_s in self._parts_s.items() if (rate := _rate(times_s)) is not None}
+        known = self.parts_hz
+        if told.keys() != known.keys() or any(
+            abs(rate - known[name]) > _PART_STEP * rate for name, rate in told.items()
+        ):
+            self.parts_hz = told
 
     def _update_rate(self, intervals: Sequence[float]) -> None:
         """Rate by the last intervals; said anew only when it has really changed, and kept where there was none."""
@@ -109,3 +121,12 @@ class LinkCounters:
         known = self.reached_hz
         if known is None or abs(rate_hz - known) > _RATE_STEP * known:
             self.reached_hz = rate_hz
+
+
+def _rate(times_s: Sequence[float]) -> float | None:
+    span_s = times_s[-1] - times_s[0] if times_s else 0.0
+    return round((len(times_s) - 1) / span_s, 2) if span_s else None
+
+
+def _sum(before: int | None, now: int | None) -> int | None:
+    return before if now is None else now if before is None else before + now

@@ -74,6 +74,8 @@ _RULES: dict[str, Rule] = {
     "safety.self_collision": _switched(EventKind.COLLISION_DETECTED, EventKind.COLLISION_CLEARED),
 }
 
+# Keys whose null is told as a change; of the others it says that nobody knows, and the last known value stays.
+_NULL_IS_NEWS = {"status.operating_mode", "status.power", "safety.state"}
 _AT_FIRST_SIGHT = {EventKind.ESTOP_PRESSED, EventKind.COLLISION_DETECTED}
 
 
@@ -82,6 +84,7 @@ class EdgeFinder:
 
     def __init__(self) -> None:
         self._known: dict[str, object] = {}
+        self._unsure: set[str] = set()  # keys that were null since their known value
         self._faults: dict[tuple[object, ...], Fault] = {}
 
     def observe_safety(self, safety: Safety) -> list[Edge]:
@@ -140,12 +143,19 @@ class EdgeFinder:
     def _compare(self, values: dict[str, object]) -> list[Edge]:
         edges = []
         for key, after in values.items():
+            if after is None and key not in _NULL_IS_NEWS:
+                self._unsure.add(key)
+                continue
             first = key not in self._known
+            unsure = key in self._unsure
             before = self._known.get(key)
             self._known[key] = after
-            if after == before:
-                continue
-            kind = _RULES[key](before, after)
-            if kind is not None and (not first or kind in _AT_FIRST_SIGHT):
-                edges.append(Edge(kind, key, before, after))
+            self._unsure.discard(key)
+            if after == before and unsure:  # between the two nobody knows what it was
+                kind = _RULES[key](None, after)
+                edges += [Edge(kind, key, None, after)] if kind in _AT_FIRST_SIGHT else []
+            elif after != before:
+                kind = _RULES[key](before, after)
+                if kind is not None and (not first or kind in _AT_FIRST_SIGHT):
+                    edges.append(Edge(kind, key, before, after))
         return edges

@@ -17,11 +17,12 @@ class EventRing:
 
     Args:
         capacity: How many are kept; older ones are gone, and readers are told.
-        boot: The part of the names that is new at each start of the gateway; random when None.
+        boot: The part of the names that is new for each ring and each start of the gateway; random when None.
     """
 
     def __init__(self, capacity: int = DEFAULT_RING, boot: str | None = None) -> None:
         self.boot = boot or secrets.token_hex(4)
+        self.capacity = capacity
         self._ring: deque[Event] = deque(maxlen=capacity)
         self.last_seq = 0
 

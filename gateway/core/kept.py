@@ -31,6 +31,11 @@ class KeptDecoder:
         """What the operator should know of this session."""
         return self._guarded(lambda: self._decoder.notes, default=())
 
+    @property
+    def gaps(self) -> int | None:
+        """How many frames are missing."""
+        return self._guarded(lambda: self._decoder.gaps, default=None)
+
     def feed(self, data: bytes) -> list[Event]:
         """Take received bytes; a refusal or a mistake of the plugin becomes a counted reject."""
         events: list[Event] = []

@@ -10,7 +10,7 @@ import anyio
 import msgspec
 import structlog
 
-from gateway.api.decoder import Decoder, Event, Frame, Refused, RefusedKind
+from gateway.api.decoder import Decoder, Event, Frame, Occurrence, Refused, RefusedKind, Table
 from gateway.api.layout import Layout
 from gateway.api.model import GROUPS, EventKind, LinkState, Quality
 from gateway.api.model import Link as LinkData
@@ -64,17 +64,26 @@ class Link:
         normaliser = Normaliser(robot.protocol.signals, robot.signal_options)
         wall_clock = robot.protocol.wall_clock
         controller_clock = ControllerClock(wall_clock, robot.clock_zone) if wall_clock else None
-        self._publisher = Publisher(robot.name, bus, normaliser, robot.origin, controller_clock)
+        self._publisher = Publisher(
+            robot.name,
+            bus,
+            normaliser,
+            robot.origin,
+            controller_clock,
+            stale_s=robot.stale_s,
+            commands=robot.protocol.commands,
+        )
         topics = bus.add(robot.name, ["link", "link_stats"])
         self._own = {group: OwnTopic(topic, bus, robot.origin) for group, topic in topics.items()}
-        self._counters = LinkCounters(robot.protocol.framing.counter_at)
-        self._new_decoder = robot.protocol.decoders(robot.options)
+        self._counters = LinkCounters(parts=robot.protocol.slowest_s is not None)
+        self._new_decoder = robot.protocol.decoders(robot.options, robot.rate_hz)
         self._decoder: Decoder | None = None
-        self._layout: Layout | None = None
+        self._layout: Table | None = None
         self._noted: list[str] = []
         self._epochs = 0
         self._boot = secrets.token_hex(4)
         self._first_frame = True
+        self._in_session = False
         self._repeats = Repeats()
         self._kept: KeptDecoder | None = None
         self._online_s = 0.0
@@ -93,11 +102,15 @@ class Link:
 
     async def run(self) -> None:
         """Connect and reconnect until cancelled."""
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(self._count_every_second)
-            while True:
-                delay_s = await self._attempt()
-                await anyio.sleep(delay_s)
+        try:
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(self._count_every_second)
+                while True:
+                    delay_s = await self._attempt()
+                    await anyio.sleep(delay_s)
+        finally:
+            with anyio.CancelScope(shield=True):
+                await self._connector.aclose()
 
     async def _attempt(self) -> float:
         """Connect once and run the session; return the delay before the next attempt."""
@@ -122,6 +135,7 @@ class Link:
         robot = self._robot
         self._decoder = None
         connection = await self._connector.connect()
+        self._in_session = True
         try:
             self._begin_epoch()
             self._enter(LinkState.HANDSHAKING, "connected, waiting for the first frame", layout=None, notes=[])
@@ -143,6 +157,8 @@ class Link:
             )
             await session.run()
         finally:
+            self._counters.end(self._gaps())
+            self._in_session = False
             with anyio.CancelScope(shield=True):
                 await connection.aclose()
 
@@ -154,6 +170,8 @@ class Link:
                 if self._first_frame:
                     self._online(event)
                 self._publish(event, at_s)
+            elif type(event) is Occurrence:
+                self._publisher.occurred(event.entries, at_s)
         trouble = self._kept.trouble if self._kept is not None else None
         if trouble is not None and self._data.reason != trouble.reason:
             self._off_but_open(_REFUSED_STATES.get(trouble.kind, LinkState.STALE), trouble.reason)
@@ -179,7 +197,8 @@ class Link:
         """Say that no frames come, and why."""
         self._announce_loss(state, reason)
         self._counters.reached_hz = None
-        self._enter(state, reason, last_error=reason, reached_hz=None, **changes)
+        self._counters.parts_hz = {}
+        self._enter(state, reason, last_error=reason, reached_hz=None, parts_hz={}, **changes)
 
     def _online(self, frame: Frame) -> None:
         """The first good frame of a session, or after a silence."""
@@ -187,9 +206,7 @@ class Link:
         self._outcome = LinkState.ONLINE
         self._online_s = self._clock.monotonic()
         before = self._data.state
-        behind = self._robot.protocol.framing.behind
-        extra = len(frame.raw) - frame.start - frame.layout.size - behind if frame.quality is Quality.UNCERTAIN else 0
-        layout = frame.layout.name + (f" + {extra} bytes that the layout does not explain" if extra else "")
+        layout = frame.layout.name + self._unexplained(frame)
         notes = self._notes()
         attempts = self._data.attempts
         self._enter(LinkState.ONLINE, None, attempts=0, layout=layout, notes=notes)
@@ -201,11 +218,26 @@ class Link:
             self._log.warning("link.noted", reason=note)
         self._noted = notes
 
+    def _unexplained(self, frame: Frame) -> str:
+        """How many bytes of a frame its layout leaves over, in words."""
+        framing = self._robot.protocol.framing
+        if frame.quality is not Quality.UNCERTAIN or framing is None or not isinstance(frame.layout, Layout):
+            return ""
+        extra = len(frame.raw) - frame.start - frame.layout.size - framing.behind
+        return f" + {extra} bytes that the layout does not explain"
+
     def _notes(self) -> list[str]:
-        """What the decoder has to tell; a plugin that cannot even tell it stops nothing."""
+        """What decoder and transport have to tell; a plugin that cannot even tell it stops nothing."""
+        notes = list(self._connector.notes)
         with contextlib.suppress(Exception):
-            return [] if self._decoder is None else [str(note) for note in self._decoder.notes]
-        return []
+            notes += [] if self._decoder is None else [str(note) for note in self._decoder.notes]
+        return notes
+
+    def _gaps(self) -> int | None:
+        """How many frames of the running session are missing; a plugin that cannot tell it stops nothing."""
+        with contextlib.suppress(Exception):
+            return self._decoder.gaps if self._in_session and self._decoder is not None else None
+        return None
 
     def _lost(self, state: LinkState, reason: str, delay_s: float | None = None, notes: Sequence[str] = ()) -> float:
         """Say that the session is lost, or that there was none, and when the next attempt is due."""
@@ -250,7 +282,14 @@ class Link:
             await anyio.sleep(1)
             self._follow_clock()
             publisher = self._publisher
-            stats = self._counters.second(self._clock.monotonic(), publisher.bad_values, publisher.clock_offset_s())
+            publisher.expire(self._clock.monotonic())
+            stats = self._counters.second(
+                self._clock.monotonic(),
+                publisher.bad_values,
+                publisher.clock_offset_s(),
+                gaps=self._gaps(),
+                refused=self._connector.rejects,
+            )
             self._own["link_stats"].publish(stats, self._timeline.now())
             if self._data.state is LinkState.ONLINE:
                 self._say_what_changed()
@@ -271,7 +310,10 @@ class Link:
 
     def _say_what_changed(self) -> None:
         """Publish what may change while the link is online."""
-        now = msgspec.structs.replace(self._data, reached_hz=self._counters.reached_hz, notes=self._notes())
+        counters = self._counters
+        now = msgspec.structs.replace(
+            self._data, reached_hz=counters.reached_hz, parts_hz=counters.parts_hz, notes=self._notes()
+        )
         layout = self._publisher.layout
         if layout is not None and layout is not self._layout:  # configured again inside the session
             self._layout = layout

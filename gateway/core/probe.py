@@ -41,17 +41,14 @@ class Question:
         protocol: One of its protocols.
         transport: What it is asked over.
         options: The options that a robot needs which is reached so.
+        port: The vendor's port.
     """
 
     vendor: Vendor
     protocol: Protocol
     transport: Transport
     options: msgspec.Struct
-
-    @property
-    def port(self) -> int:
-        """The vendor's port."""
-        return self.protocol.port_of(self.options)
+    port: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,14 +65,16 @@ class Finding:
 
 
 def questions(vendors: Iterable[Vendor]) -> Iterator[Question]:
-    """Every way to ask, the vendors' own order of protocols, TCP before UDP."""
+    """Every way to ask, the vendors' own order of protocols, TCP before UDP; without a port there is nothing to ask."""
     for vendor in vendors:
         for protocol in vendor.protocols:
-            plain = protocol.options()
-            yield Question(vendor=vendor, protocol=protocol, transport=protocol.transport(plain), options=plain)
-            if protocol.udp_port is not None and protocol.transport(plain) == "tcp":
-                over_udp = msgspec.structs.replace(plain, transport="udp")
-                yield Question(vendor=vendor, protocol=protocol, transport="udp", options=over_udp)
+            ways = [protocol.options()]
+            if protocol.udp_port is not None and protocol.transport(ways[0]) == "tcp":
+                ways.append(msgspec.structs.replace(ways[0], transport="udp"))
+            for options in ways:
+                port, transport = protocol.port_of(options), protocol.transport(options)
+                if port is not None:
+                    yield Question(vendor=vendor, protocol=protocol, transport=transport, options=options, port=port)
 
 
 async def probe(

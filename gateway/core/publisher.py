@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
 from typing import cast
 
 import msgspec
 import structlog
 
-from gateway.api.compiler import Reader, raw_values
-from gateway.api.decoder import Frame
-from gateway.api.layout import Layout
+from gateway.api.decoder import Entry, Frame, Table
 from gateway.api.model import GROUPS, Fault, Quality, Safety, Sample, Status
 from gateway.api.normaliser import Normaliser
+from gateway.api.reader import Reader
+from gateway.api.readers import raw_values
+from gateway.api.record import Record
 from gateway.core.bus import Bus, FrameReading, FrameStream, Origin, Topic, ValueReading
 from gateway.core.clock import Timeline
 from gateway.core.controller_clock import ControllerClock
 from gateway.core.edges import Edge, EdgeFinder
+from gateway.core.parts import Parts
 
 _LOG = structlog.get_logger()
 
@@ -44,6 +48,8 @@ class Publisher:
         normaliser: The readers of the robot's protocol.
         origin: Where the frames come from.
         clock: The controller's own clock, or None.
+        stale_s: Age at which a value is no longer told, where frames bring the state in parts.
+        commands: Whether the robot has a topic of command objects.
 
     Attributes:
         bad_values: How many groups held NaN or infinity, or could not be read.
@@ -56,19 +62,25 @@ class Publisher:
         normaliser: Normaliser,
         origin: Origin,
         clock: ControllerClock | None = None,
+        *,
+        stale_s: float = 1.0,
+        commands: bool = False,
     ) -> None:
         self._bus = bus
         self._normaliser = normaliser
         self._origin: Origin = origin
         self._topics = bus.add(robot, normaliser.groups)
         self._events = bus.add(robot, ["events"])["events"]
+        self._commands = bus.add(robot, ["commands"])["commands"] if commands else None
+        self._parts = Parts(stale_s)
+        self._part_seqs: dict[str, int] = {}
         self._edges = EdgeFinder()
         self._clock = clock
         self._last: FrameReading | None = None
         self._timeline: Timeline | None = None
         self._epoch = ""
         self._seq = 0
-        self._layout: Layout | None = None
+        self._layout: Table | None = None
         self._stream: FrameStream | None = None
         self._samples: list[Topic] = []
         self._states: list[_State] = []
@@ -86,17 +98,19 @@ class Publisher:
         self._epoch = epoch
         self._timeline = timeline
         self._seq = 0
+        self._part_seqs.clear()
+        self._parts.clear()
         self._stream = None
         self._last = None
 
     @property
-    def layout(self) -> Layout | None:
+    def layout(self) -> Table | None:
         """The layout of the last frame."""
         return self._layout
 
     def clock_offset_s(self) -> float | None:
         """The controller's clock minus ours by the last frame, in s, or None; of an unknown zone as if it were UTC."""
-        told = self._clock.utc_us(self._last.frame) if self._clock is not None and self._last is not None else None
+        told = self._clock.utc_us(self._last.timed) if self._clock is not None and self._last is not None else None
         return None if told is None or self._last is None else (told - self._last.t) / 1e6
 
     def frame(self, frame: Frame, monotonic_s: float) -> None:
@@ -106,16 +120,29 @@ class Publisher:
         stream = self._stream
         if stream is None or frame.layout is not self._layout or frame.quality is not stream.quality:
             stream = self._new_stream(frame)
+        if type(frame.layout) is Record:
+            self._take_parts(stream, frame, monotonic_s)
+            return
         self._seq += 1
         reading = self._last = FrameReading(stream, frame, self._seq, self._timeline.stamp(monotonic_s))
         for topic in self._samples:
             self._bus.publish(topic, reading)
         for state in self._states:
-            state.topic.latest = reading  # whoever asks gets the newest; listeners are told of changes only
-            key = state.reader.key(frame.raw, frame.start)
-            if key != state.key:
-                state.key = key
-                self._publish_state(state, reading)
+            self._look_at(state, reading)
+
+    def occurred(self, entries: Sequence[Entry], monotonic_s: float) -> None:
+        """Publish what has happened, as a frame that was received at a monotonic time in s tells it."""
+        if self._timeline is None or self._commands is None:
+            return
+        t = self._timeline.stamp(monotonic_s)
+        for entry in entries:
+            self._bus.raise_event(self._commands, t, entry.kind, None, entry.data, entry.raw)
+
+    def expire(self, monotonic_s: float) -> None:
+        """Say which values have become too old, where frames bring the state in parts; called every second."""
+        old = self._parts.drop_stale(monotonic_s)
+        if old and self._stream is not None and self._last is not None and self._timeline is not None:
+            self._say_parts(self._stream, self._last.frame, old, self._timeline.stamp(monotonic_s))
 
     def silent(self, quality: Quality, t: int, t_last: int | None) -> None:
         """Say on every topic, once, that no more values come: all leaves null, with the time of the last frame.
@@ -127,11 +154,13 @@ class Publisher:
         """
         self._seq += 1
         self._stream = None
+        self._parts.clear()
         for group, topic in self._topics.items():
             struct = GROUPS[group].struct
+            self._part_seqs[group] = self._part_seqs.get(group, 0) + 1
             sample = Sample(
                 topic=topic.name,
-                seq=self._seq,
+                seq=self._part_seqs[group] if type(self._layout) is Record else self._seq,
                 epoch=self._epoch,
                 t=t,
                 t_last=t_last,
@@ -162,6 +191,38 @@ class Publisher:
         ]
         return self._stream
 
+    def _look_at(self, state: _State, reading: FrameReading) -> None:
+        """Publish a state topic if what it follows from has changed."""
+        state.topic.latest = reading  # whoever asks gets the newest; listeners are told of changes only
+        key = state.reader.key(reading.frame)
+        if key != state.key:
+            state.key = key
+            self._publish_state(state, reading)
+
+    def _take_parts(self, stream: FrameStream, frame: Frame, monotonic_s: float) -> None:
+        """Publish the groups that a frame tells something of."""
+        t = cast("Timeline", self._timeline).stamp(monotonic_s)
+        old = self._parts.drop_stale(monotonic_s)
+        self._parts.take(frame, t, monotonic_s)
+        self._say_parts(stream, frame, old | frame.values.keys(), t)
+
+    def _say_parts(self, stream: FrameStream, frame: Frame, changed: AbstractSet[str], t: int) -> None:
+        """Publish the groups that follow from any of some values; each has the time of its oldest part."""
+        states = {state.topic.group.name: state for state in self._states}
+        for group, topic in self._topics.items():
+            names = None if group == "vendor" else self._normaliser.group_sources(group)
+            if group not in stream.readers or (names is not None and changed.isdisjoint(names)):
+                continue
+            view = self._parts.view(frame, names)
+            seq = self._part_seqs[group] = self._part_seqs.get(group, 0) + 1
+            oldest = view.oldest
+            reading = FrameReading(stream, view.frame, seq, oldest.t if oldest else t, oldest.frame if oldest else None)
+            self._last = reading
+            if group in states:
+                self._look_at(states[group], reading)
+            else:
+                self._bus.publish(topic, reading)
+
     def _publish_state(self, state: _State, reading: FrameReading) -> None:
         """Publish a state topic if its canonical values changed, and the edges that show in them."""
         topic = state.topic
@@ -185,7 +246,7 @@ class Publisher:
 
     def _raise(self, edge: Edge, reading: FrameReading) -> None:
         frame = reading.frame
-        raw = raw_values(frame.layout, frame.raw, frame.start, self._normaliser.sources(edge.key))
+        raw = raw_values(frame, self._normaliser.sources(edge.key))
         if edge.key == "status.faults":
             raw = _of_fault(raw, edge.before if edge.after is None else edge.after)
         self._bus.raise_event(self._events, reading.t, edge.kind, edge.before, edge.after, raw)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import errno
 import os
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Protocol
 
 import anyio
@@ -27,6 +28,7 @@ _WORDS = {
     errno.ECONNRESET: "connection reset by the controller",
     errno.EPIPE: "connection closed by the controller",
 }
+_NONE: Mapping[str, int] = MappingProxyType({})
 
 
 class Connection(Protocol):
@@ -66,6 +68,16 @@ class Connector(Protocol):
         """The controller's address, for people."""
         ...
 
+    @property
+    def notes(self) -> Sequence[str]:
+        """What the operator should know beside the state of the link."""
+        ...
+
+    @property
+    def rejects(self) -> Mapping[str, int]:
+        """How often something was refused since the start, by reason."""
+        ...
+
     async def connect(self) -> Connection:
         """Open a connection.
 
@@ -74,9 +86,32 @@ class Connector(Protocol):
         """
         ...
 
+    async def aclose(self) -> None:
+        """Release what is held between connections; the next `connect` takes it again."""
+        ...
+
+
+class HoldsNothing:
+    """The part of a `Connector` that holds nothing between its connections and refuses nobody."""
+
+    __slots__ = ()
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """Nothing."""
+        return ()
+
+    @property
+    def rejects(self) -> Mapping[str, int]:
+        """None."""
+        return _NONE
+
+    async def aclose(self) -> None:
+        """Release nothing."""
+
 
 @dataclass(frozen=True, slots=True)
-class TcpClient:
+class TcpClient(HoldsNothing):
     """The gateway calls the controller over TCP.
 
     Args:
@@ -102,8 +137,7 @@ class TcpClient:
         except OSError as error:
             raise LinkClosed(f"{self.peer}: {describe(error)}", refused=is_refusal(error)) from error
         raw = stream.extra(SocketAttribute.raw_socket)  # noqa: S610 - not that `extra`
-        raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        _keep_alive(raw.setsockopt)
+        prepare(raw.setsockopt)
         return TcpConnection(stream)
 
 
@@ -157,6 +191,15 @@ def address_text(host: str, port: int) -> str:
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
+def prepare(set_option: Callable[[int, int, int], None]) -> None:
+    """Set a TCP connection's options: requests leave at once, and a peer that is gone is noticed."""
+    set_option(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    set_option(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for name, value in KEEP_ALIVE.items():
+        if hasattr(socket, name):  # macOS lacks some of them
+            set_option(socket.IPPROTO_TCP, getattr(socket, name), value)
+
+
 def _cause(error: BaseException) -> OSError | None:
     """The socket's own error; anyio wraps it."""
     cause: BaseException | None = error
@@ -165,10 +208,3 @@ def _cause(error: BaseException) -> OSError | None:
             return cause
         cause = cause.__cause__ or cause.__context__
     return None
-
-
-def _keep_alive(set_option: Callable[[int, int, int], None]) -> None:
-    set_option(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    for name, value in KEEP_ALIVE.items():
-        if hasattr(socket, name):  # macOS lacks some of them
-            set_option(socket.IPPROTO_TCP, getattr(socket, name), value)

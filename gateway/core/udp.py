@@ -10,7 +10,7 @@ from typing import cast
 import anyio
 import anyio.lowlevel
 
-from gateway.core.transport import CONNECT_TIMEOUT_S, Connection, address_text, describe, is_refusal
+from gateway.core.transport import CONNECT_TIMEOUT_S, Connection, HoldsNothing, address_text, describe, is_refusal
 from gateway.errors import LinkClosed
 
 # Datagrams that may wait to be read: seconds of the fastest controller. Beyond, the oldest are dropped.
@@ -18,7 +18,7 @@ _WAITING = 1024
 
 
 @dataclass(frozen=True, slots=True)
-class UdpClient:
+class UdpClient(HoldsNothing):
     """The gateway calls the controller over UDP.
 
     Args:

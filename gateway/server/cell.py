@@ -74,7 +74,7 @@ class Cell:
         protocol = robot.protocol
         found = self._vendor_shapes.get(id(protocol))
         if found is None:
-            found = self._vendor_shapes[id(protocol)] = vendor_shape(protocol.layouts)
+            found = self._vendor_shapes[id(protocol)] = vendor_shape(protocol.tables)
         told = self._data(topic)
         return [found, dict.fromkeys(set(told) - set(found), LEAF)] if isinstance(told, dict) else [found]
 

@@ -9,7 +9,9 @@ from functools import cache
 import msgspec
 from msgspec import inspect
 
-from gateway.api.layout import Field, Layout
+from gateway.api.decoder import Table
+from gateway.api.layout import Field
+from gateway.api.record import Record
 
 Shape = Mapping[str, "Shape"]  # name -> what may be named below it
 ANY = "*"  # in a shape: whatever the name
@@ -22,11 +24,14 @@ def shape_of(struct: type[msgspec.Struct]) -> Shape:
     return _shape(inspect.type_info(struct))
 
 
-def vendor_shape(layouts: Iterable[Layout]) -> Shape:
+def vendor_shape(tables: Iterable[Table]) -> Shape:
     """The paths of a vendor group: the fields, and the flags of those that are no arrays."""
     found: dict[str, dict[str, Shape]] = {}
-    for layout in layouts:
-        for field in layout.fields:
+    for table in tables:
+        if isinstance(table, Record):
+            found.update({value.name: dict(_shape(inspect.type_info(value.type))) for value in table.fields})
+            continue
+        for field in table.fields:
             found.setdefault(field.name, {}).update(_flags(field))
     return found
 

@@ -241,9 +241,8 @@ def _url_subscription(request: web.Request) -> messages.Subscribe | None:
     if not query:
         return None
     wish: dict[str, object] = {"op": "subscribe", "id": "url", "topics": query["topics"].split(",")}
-    wish.update({key: query[key] for key in ("rate_hz", "mode", "since") if key in query})
-    if "fields" in query:
-        wish["fields"] = query["fields"].split(",")
+    wish.update({key: query[key] for key in ("rate_hz", "mode") if key in query})
+    wish.update({key: query[key].split(",") for key in ("fields", "since") if key in query})
     try:
         return msgspec.convert(wish, messages.Subscribe, strict=False)
     except msgspec.ValidationError as error:

@@ -6,6 +6,7 @@ for a socket: a client that does not read costs these bounds of memory and no mo
 
 from __future__ import annotations
 
+import heapq
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
@@ -115,7 +116,7 @@ class Outbox:
         self.subscriptions: dict[int | str, Subscription] = {}
         self.due_s = math.inf
         self._events: deque[Event] = deque()
-        self._last_seq = 0
+        self._last_seqs: dict[str, int] = {}  # by ring
         self._events_gone: int | None = 0
         self._missed_said_s = -math.inf
         self._wake = anyio.Event()
@@ -140,9 +141,9 @@ class Outbox:
 
     def add_event(self, event: Event) -> None:
         """Queue an event; two subscriptions that match it deliver it once."""
-        if event.seq <= self._last_seq:
+        if event.seq <= self._last_seqs.get(event.boot, 0):
             return
-        self._last_seq = event.seq
+        self._last_seqs[event.boot] = event.seq
         if len(self._events) >= QUEUED_EVENTS:
             self.overflowed = True
         else:
@@ -156,11 +157,15 @@ class Outbox:
             events: In order.
             missed: How many are gone from the ring; None: their number is not known.
         """
-        merged = sorted({event.seq: event for event in (*events, *self._events)}.values(), key=lambda event: event.seq)
+        rings: dict[str, dict[int, Event]] = {}
+        for event in (*events, *self._events):
+            rings.setdefault(event.boot, {})[event.seq] = event
+        for boot, by_seq in rings.items():
+            self._last_seqs[boot] = max(self._last_seqs.get(boot, 0), *by_seq)
+        in_order = ([by_seq[seq] for seq in sorted(by_seq)] for by_seq in rings.values())
+        merged = list(heapq.merge(*in_order, key=lambda event: event.t))  # each ring stays in its own order
         over = max(0, len(merged) - QUEUED_EVENTS)
         self._events = deque(merged[over:])
-        if merged:
-            self._last_seq = max(self._last_seq, merged[-1].seq)
         if missed is None or self._events_gone is None:
             self._events_gone = None
         else:

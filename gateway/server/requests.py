@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import heapq
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from functools import partial
+from itertools import islice
 
 import msgspec
 
@@ -12,6 +15,7 @@ from gateway import __version__
 from gateway.api import messages
 from gateway.api.model import Event
 from gateway.core.bus import Topic
+from gateway.core.events import EventRing, parse_name
 from gateway.server.cell import Cell
 from gateway.server.outbox import QUEUED_EVENTS, QUEUED_SAMPLES, Outbox, Subscription, Wish
 from gateway.server.wire import Cut, Encoding
@@ -99,7 +103,8 @@ class Requests:
         self._outbox.add(request.id, Subscription(wish, topics, self._outbox))
         if resumed is not None:
             self._outbox.resume(*resumed)
-        return messages.Result(id=request.id, topics=[topic.name for topic in topics])
+        last_events = [ring.last_name for ring in _rings(topics)]
+        return messages.Result(id=request.id, topics=[topic.name for topic in topics], last_events=last_events or None)
 
     def _unsubscribe(self, request: messages.Unsubscribe) -> messages.Result:
         if not self._outbox.remove(request.id):
@@ -140,13 +145,28 @@ class Requests:
             raise BadRequest("UNKNOWN_FIELD", unknown)
         return tuple(tuple(field.split(".")) for field in dict.fromkeys(fields))
 
-    def _read_back(self, since: str | None, limit: int, topics: list[Topic]) -> tuple[list[Event], int | None]:
-        robots = {topic.robot for topic in topics if topic.group.delivery == "event"}
+    def _read_back(
+        self, since: messages.Since | None, limit: int, topics: list[Topic]
+    ) -> tuple[list[Event], int | None]:
+        """The events of some topics after the named ones, and how many are gone; None: nobody can know.
+
+        A ring that no name belongs to is read from its beginning.
+        """
+        names = [since] if isinstance(since, str) else since or []
         try:
-            events, missed = self._cell.bus.events.since(since, limit, lambda event: event.robot in robots)
+            boots = {parse_name(name)[0]: name for name in names}
         except ValueError as error:
             raise BadRequest("BAD_REQUEST", str(error)) from None
-        return events, missed if robots else 0
+        all_known = boots.keys() <= {ring.boot for ring in _rings(self._cell.bus.topics.values())}
+        found: list[list[Event]] = []
+        gone: int | None = 0
+        for ring, robots in _rings(topics).items():
+            named = boots.get(ring.boot) or (f"{ring.boot}:0" if all_known else names[0]) if names else None
+            events, missed = ring.since(named, limit, partial(_is_of, robots))
+            found.append(events)
+            gone = None if gone is None or missed is None else gone + missed
+        merged = heapq.merge(*found, key=lambda event: event.t)  # each ring stays in its own order
+        return list(islice(merged, limit)), gone
 
     _HANDLERS: dict[type, Callable[..., messages.Result]] = {  # noqa: RUF012 - a table, never changed
         messages.Subscribe: _subscribe,
@@ -163,3 +183,16 @@ def _check_names(kind: str, names: list[str]) -> None:
     longest = max(names, key=len)
     if len(longest) > _MAX_NAME:
         raise BadRequest("TOO_MUCH", f"a {kind} has at most {_MAX_NAME} characters: {longest[:20]!r}… has more")
+
+
+def _is_of(robots: set[str], event: Event) -> bool:
+    return event.robot in robots
+
+
+def _rings(topics: Iterable[Topic]) -> dict[EventRing, set[str]]:
+    """The rings of some topics, each with the robots that are asked for."""
+    found: dict[EventRing, set[str]] = {}
+    for topic in topics:
+        if topic.ring is not None:
+            found.setdefault(topic.ring, set()).add(topic.robot)
+    return found

@@ -23,12 +23,26 @@ _MOST_OWED = 64
 
 
 class Connection(asyncio.BufferedProtocol):
-    """One client. What it is owed leaves in order; the next send waits for the one before."""
+    """One client, whoever called. What it is owed leaves in order; the next send waits for the one before.
 
-    def __init__(self, controller: VirtualController, port: Port, loop: asyncio.AbstractEventLoop) -> None:
+    Args:
+        controller: Whose client it is.
+        port: What it speaks.
+        loop: Runs it.
+        lost: Called when it has ended.
+    """
+
+    def __init__(
+        self,
+        controller: VirtualController,
+        port: Port,
+        loop: asyncio.AbstractEventLoop,
+        lost: Callable[[], None] = lambda: None,
+    ) -> None:
         self._controller = controller
         self._port = port
         self._loop = loop
+        self._lost = lost
         self._plan = controller.plan if port.protocol is not None else CALM
         self._chaos: Chaos | None = None
         self._session = port.session(controller.robot, controller.options)
@@ -37,11 +51,15 @@ class Connection(asyncio.BufferedProtocol):
         self._buffer = bytearray(_READ_SIZE)
         self._held = b""
         self._full = False
+        self._aborted = False
         self._period_s: float | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Take the connection; both loops set TCP_NODELAY by themselves."""
         self._transport = cast("Transport", transport)
+        if self._aborted:
+            self._transport.abort()
+            return
         self._controller.connections.add(self)
         robot = self._controller.robot
         if self._port.protocol is not None:
@@ -97,6 +115,7 @@ class Connection(asyncio.BufferedProtocol):
         self._owed.clear()
         for timer in self._timers.values():
             timer.cancel()
+        self._lost()
 
     def pause_writing(self) -> None:
         """Stop reading the requests of a client that does not read the answers."""
@@ -118,8 +137,10 @@ class Connection(asyncio.BufferedProtocol):
             self._transport.resume_reading()
 
     def abort(self) -> None:
-        """Close without a word."""
-        self._transport.abort()
+        """Close without a word, be it as soon as it is made."""
+        self._aborted = True
+        if self in self._controller.connections:
+            self._transport.abort()
 
     def _cut(self, end: Callable[[], None]) -> None:
         self._controller.robot.faults["cut"] += 1

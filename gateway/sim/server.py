@@ -1,6 +1,7 @@
 """Serves virtual controllers on real sockets: many of them, on consecutive addresses, from one cheap process.
 
-Callbacks of the loop and no task per connection: this is the load generator of the acceptance runs.
+Callbacks of the loop and no task per connection: this is the load generator of the acceptance runs. Only a controller
+that calls a gateway has a task, which makes its calls.
 """
 
 from __future__ import annotations
@@ -10,12 +11,16 @@ import errno
 import ipaddress
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 from typing import TYPE_CHECKING
 
+import anyio
 import msgspec
+from anyio.abc import TaskGroup
 
 from gateway.api.vendor import Transport
 from gateway.errors import GatewayError
+from gateway.sim.calling import Caller
 from gateway.sim.chaos import CALM, ChaosPlan, parse_chaos
 from gateway.sim.connection import Connection
 from gateway.sim.datagrams import Datagrams
@@ -46,7 +51,7 @@ class SimulatorError(GatewayError):
 
 
 class VirtualController:
-    """One virtual controller: its robot and its listeners.
+    """One virtual controller: its robot, its listeners, and the gateways that it calls.
 
     Args:
         simulator: What it speaks.
@@ -55,6 +60,7 @@ class VirtualController:
         port: Its main port; None is the vendor's, 0 lets the system choose.
         options: Of the simulator's own struct.
         plan: The chaos that its state ports suffer.
+        tasks: Where its calls are made.
 
     Attributes:
         missing: The ports that it does without, each with the reason.
@@ -69,6 +75,7 @@ class VirtualController:
         port: int | None,
         options: msgspec.Struct,
         plan: ChaosPlan,
+        tasks: TaskGroup,
     ) -> None:
         self.robot = robot
         self.host = host
@@ -80,21 +87,32 @@ class VirtualController:
         numbers = zip(simulator.ports, simulator.port_numbers(port), strict=True)
         offered = [(listener, number) for listener, number in numbers if listener.offered(options)]
         self._listeners = tuple(listener for listener, _ in offered)
-        self._numbers = [number for _, number in offered]
+        self._calls = [listener.calls(options) for listener in self._listeners]
+        self._numbers = [
+            number if gateway is None else gateway[1] for (_, number), gateway in zip(offered, self._calls, strict=True)
+        ]
+        self._tasks = tasks
         self._servers: list[AbstractServer] = []
         self._endpoints: list[DatagramTransport] = []
+        self._callers: list[Caller] = []
 
     @property
     def port(self) -> int:
-        """The main port, or the first that is offered, as bound."""
+        """The main port, or the first that is offered, as bound; where it calls, the gateway's."""
         return self._numbers[0]
 
     @property
     def ports(self) -> tuple[tuple[str | None, int], ...]:
         """Each port that is served: its protocol, or None, and its number."""
         missing = {problem.port for problem in self.missing}
-        pairs = zip(self._listeners, self._numbers, strict=True)
-        return tuple((port.protocol, number) for port, number in pairs if number not in missing)
+        rows = zip(self._listeners, self._numbers, self._calls, strict=True)
+        return tuple((port.protocol, number) for port, number, to in rows if to is None and number not in missing)
+
+    @property
+    def calls(self) -> tuple[tuple[str | None, str], ...]:
+        """Each port that calls instead: its protocol, or None, and the address of the gateway."""
+        pairs = zip(self._listeners, self._calls, strict=True)
+        return tuple((port.protocol, _text(*gateway)) for port, gateway in pairs if gateway is not None)
 
     def port_of(self, protocol: str, transport: str = "tcp") -> int:
         """The number, as bound, of the port of a protocol.
@@ -108,21 +126,25 @@ class VirtualController:
         raise KeyError(f"{protocol}/{transport}")
 
     def number_of(self, protocol: str, transport: Transport = "tcp") -> int:
-        """The port of a protocol over a transport.
+        """The port of a protocol over a transport; "tcp_server" for one that calls: it is the gateway's then.
 
         Raises:
             KeyError: It is not served.
         """
-        pairs = zip(self._listeners, self._numbers, strict=True)
-        return {(port.protocol, port.transport): number for port, number in pairs}[protocol, transport]
+        rows = zip(self._listeners, self._numbers, self._calls, strict=True)
+        numbers: dict[tuple[str | None, Transport], int] = {
+            (port.protocol, port.transport if gateway is None else "tcp_server"): number
+            for port, number, gateway in rows
+        }
+        return numbers[protocol, transport]
 
     async def start(self) -> None:
-        """Begin to listen; after a stop, on the same ports as before.
+        """Begin to listen, after a stop on the same ports as before, and to call.
 
         Raises:
             SimulatorError: A state port cannot be had.
         """
-        if self._servers or self._endpoints:
+        if self._servers or self._endpoints or self._callers:
             return
         self.start_s = asyncio.get_running_loop().time()
         self.missing = []
@@ -136,7 +158,10 @@ class VirtualController:
                 self.missing.append(error)
 
     async def stop(self) -> None:
-        """Die: every listener and every connection is closed at once."""
+        """Die: every listener and every connection is closed at once, and nobody is called."""
+        callers, self._callers = self._callers, []
+        for caller in callers:
+            caller.cancel()
         servers, self._servers = self._servers, []
         for server in servers:
             server.close()
@@ -145,14 +170,21 @@ class VirtualController:
             endpoint.abort()
         for connection in list(self.connections):
             connection.abort()
+        for caller in callers:
+            await caller.ended()
         for server in servers:
             await server.wait_closed()
 
     async def _listen(self, index: int, port: Port) -> None:
         loop = asyncio.get_running_loop()
         number = self._numbers[index]
+        gateway = self._calls[index]
         try:
-            if port.transport == "udp":
+            if gateway is not None:
+                caller = Caller(partial(Connection, self, port, loop), self.host, gateway)
+                caller.start(self._tasks)
+                self._callers.append(caller)
+            elif port.transport == "udp":
                 endpoint, _ = await loop.create_datagram_endpoint(
                     lambda: Datagrams(lambda: Connection(self, port, loop)), local_addr=(self.host, number)
                 )
@@ -178,6 +210,10 @@ def _advice(error: OSError) -> str:
     if error.errno in {errno.EACCES, errno.EPERM}:
         return "ports below 1024 need privileges: choose another with --port"
     return (error.strerror or str(error)).lower()
+
+
+def _text(host: str, port: int) -> str:
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
 def addresses(host: str, count: int) -> list[str]:
@@ -225,7 +261,7 @@ async def serve(
         keep: How many of the last frames each robot keeps with what they meant.
 
     Yields:
-        The controllers, listening.
+        The controllers, listening and calling.
 
     Raises:
         SimulatorError: An address or a state port cannot be had; none is served then.
@@ -234,21 +270,31 @@ async def serve(
     loop = asyncio.get_running_loop()
     played = find_scenario(scenario) if isinstance(scenario, str) else scenario
     plan = parse_chaos(chaos) if isinstance(chaos, str) else chaos
-    controllers = tuple(
-        VirtualController(
-            simulator,
-            VirtualRobot(played, start_s=loop.time() - number * SPREAD_S, number=number, seed=seed, keep=keep),
-            host=address,
-            port=port,
-            options=simulator.options() if options is None else options,
-            plan=plan,
-        )
-        for number, address in enumerate(addresses(host, count))
-    )
-    try:
-        for controller in controllers:
-            await controller.start()
-        yield controllers
-    finally:
-        for controller in controllers:
-            await controller.stop()
+    spoken = simulator.options() if options is None else options
+    controllers: tuple[VirtualController, ...] = ()
+    failure: Exception | None = None
+    async with anyio.create_task_group() as tasks:
+        try:
+            controllers = tuple(
+                VirtualController(
+                    simulator,
+                    VirtualRobot(played, start_s=loop.time() - number * SPREAD_S, number=number, seed=seed, keep=keep),
+                    host=address,
+                    port=port,
+                    options=spoken,
+                    plan=plan,
+                    tasks=tasks,
+                )
+                for number, address in enumerate(addresses(host, count))
+            )
+            for controller in controllers:
+                await controller.start()
+            yield controllers
+        except Exception as error:  # noqa: BLE001 - it leaves as it is, below: the task group would put it in a group
+            failure = error
+        finally:
+            with anyio.CancelScope(shield=True):
+                for controller in controllers:
+                    await controller.stop()
+    if failure is not None:
+        raise failure

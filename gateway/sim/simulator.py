@@ -107,7 +107,7 @@ class VirtualRobot:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Port:
-    """One listener of a virtual controller.
+    """One listener of a virtual controller, or what calls a gateway instead.
 
     Args:
         protocol: The protocol that reads state there; None for a port that is no state protocol, which has no chaos and
@@ -119,6 +119,7 @@ class Port:
         header: How many bytes of a frame are its header.
         fillers: Known frames that carry no state, for chaos to send in between.
         offered: Whether a controller with some options listens there at all; an older firmware may not.
+        calls: The gateway, as host and port, that a controller with some options calls over TCP; None: it listens.
     """
 
     protocol: str | None
@@ -128,6 +129,7 @@ class Port:
     header: int = 0
     fillers: tuple[bytes, ...] = ()
     offered: Callable[[msgspec.Struct], bool] = lambda _options: True
+    calls: Callable[[msgspec.Struct], tuple[str, int] | None] = lambda _options: None
 
 
 class NoSimulatorOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -11,10 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.api import model
-from gateway.api.compiler import Reader, compile_group, compile_vendor, raw_values
+from gateway.api.compiler import compile_group, compile_vendor
+from gateway.api.decoder import Frame
 from gateway.api.layout import Field, Flag, Layout
 from gateway.api.model import Quality
 from gateway.api.normaliser import Normaliser
+from gateway.api.reader import Reader
+from gateway.api.readers import raw_values
 from gateway.api.signals import Signal
 
 TABLE = Layout(
@@ -44,15 +47,15 @@ def compiled(*rows: Signal, layout: Layout = TABLE, options: Mapping[str, object
     return reader
 
 
-def read(values: Mapping[str, object], *rows: Signal, **more: object) -> tuple[object, bool]:
-    return compiled(*rows, **more).read(b"head" + TABLE.encode(values), 4)  # type: ignore[arg-type] # layout, options
+def read(values: Mapping[str, object], *rows: Signal, **more: object) -> tuple[object, Quality]:
+    return compiled(*rows, **more).read(Frame(b"head" + TABLE.encode(values), TABLE, 4))  # type: ignore[arg-type] # layout, options
 
 
 def test_units_follow_from_the_table() -> None:
-    found, bad = read({"angles": [180.0, -90.0, 0.0]}, Signal("joints.position", "angles"))
+    found, quality = read({"angles": [180.0, -90.0, 0.0]}, Signal("joints.position", "angles"))
     assert isinstance(found, model.Joints)
     assert found.position == pytest.approx([math.pi, -math.pi / 2, 0])
-    assert not bad
+    assert quality is Quality.GOOD
 
 
 def test_a_pose_takes_its_rotation_from_the_row() -> None:
@@ -69,10 +72,10 @@ def test_a_pose_takes_its_rotation_from_the_row() -> None:
 def test_a_substituted_row_is_named_and_sets_the_quality() -> None:
     row = Signal("tcp.pose", "pose", rotation="rpy_fixed_xyz", quality=Quality.SUBSTITUTED)
     reader = compiled(row)
-    found, _ = reader.read(TABLE.encode({}), 0)
+    found, quality = reader.read(Frame(TABLE.encode({}), TABLE))
     assert isinstance(found, model.Tcp)
     assert found.substituted == ["pose"]
-    assert reader.quality is Quality.SUBSTITUTED
+    assert quality is Quality.SUBSTITUTED
 
 
 def test_bits_and_flags_become_booleans_of_their_own_bits_only() -> None:
@@ -108,9 +111,9 @@ def test_nested_keys_build_nested_structs() -> None:
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_what_is_not_finite_is_null_and_flagged(value: float) -> None:
     rows = (Signal("joints.position", "angles"), Signal("joints.current", "angles", lambda _: [1.0]))
-    found, bad = read({"angles": [1.0, value, 2.0]}, *rows)
+    found, quality = read({"angles": [1.0, value, 2.0]}, *rows)
     assert isinstance(found, model.Joints)
-    assert bad
+    assert quality is Quality.BAD
     assert found.position is not None
     assert [part is None for part in found.position] == [False, True, False]
     assert found.current is None
@@ -118,16 +121,16 @@ def test_what_is_not_finite_is_null_and_flagged(value: float) -> None:
 
 def test_opposite_infinities_and_sums_beyond_a_float_are_told_apart() -> None:
     row = Signal("joints.position", "angles")
-    assert read({"angles": [math.inf, -math.inf, 0.0]}, row)[1]
-    assert not read({"angles": [3e38, 3e38, 3e38]}, row)[1]
+    assert read({"angles": [math.inf, -math.inf, 0.0]}, row)[1] is Quality.BAD
+    assert read({"angles": [3e38, 3e38, 3e38]}, row)[1] is Quality.GOOD
 
 
 def test_a_partial_function_is_called_with_none() -> None:
     row = Signal("status.tool_id", ("speed", "word.low"), lambda speed, low: -1 if speed is None else low, partial=True)
     assert read({"speed": math.nan, "word": 2}, row)[0] == model.Status(tool_id=-1)
     short = TABLE.prefix(56, name="short")
-    found, bad = compiled(row, layout=short).read(bytes(56), 0)
-    assert (found, bad) == (model.Status(tool_id=-1), False)
+    found = compiled(row, layout=short).read(Frame(bytes(56), short))
+    assert found == (model.Status(tool_id=-1), Quality.GOOD)
 
 
 def test_what_is_cut_off_is_null_and_never_calls_a_function() -> None:
@@ -136,16 +139,17 @@ def test_what_is_cut_off_is_null_and_never_calls_a_function() -> None:
 
     short = TABLE.prefix(40, name="short")
     rows = (Signal("status.tool_id", "word.low", fail), Signal("status.speed_override", "speed"))
-    found, _ = compiled(*rows, layout=short).read(bytes(40), 0)
+    found, _ = compiled(*rows, layout=short).read(Frame(bytes(40), short))
     assert found == model.Status()
-    analog, _ = compiled(Signal("analog.analog_in.box", "volts"), layout=short).read(bytes(40), 0)
+    analog, _ = compiled(Signal("analog.analog_in.box", "volts"), layout=short).read(Frame(bytes(40), short))
     assert analog == model.Analog(analog_in={"box": model.Channels([0.0, None], "V")})
 
 
 def test_a_quality_counts_only_where_its_sources_are_in_the_frame() -> None:
     row = Signal("status.speed_override", "speed", quality=Quality.UNCERTAIN)
-    assert compiled(row).quality is Quality.UNCERTAIN
-    assert compiled(row, layout=TABLE.prefix(40, name="short")).quality is Quality.GOOD
+    assert compiled(row).read(Frame(bytes(64), TABLE))[1] is Quality.UNCERTAIN
+    short = TABLE.prefix(40, name="short")
+    assert compiled(row, layout=short).read(Frame(bytes(40), short))[1] is Quality.GOOD
 
 
 def test_a_group_without_rows_has_no_reader() -> None:
@@ -174,34 +178,35 @@ def test_a_row_that_cannot_be_is_refused(rows: tuple[Signal, ...], words: str) -
 
 def test_the_key_follows_the_named_bits_and_no_others() -> None:
     key = compiled(Signal("safety.collision", "word.low"), Signal("safety.soft_limit", "word.top")).key
-    before = key(TABLE.encode({"word": 0}), 0)
-    assert key(TABLE.encode({"word": 0x7FFF_FFFC, "speed": 1.0}), 0) == before
-    assert key(TABLE.encode({"word": 1}), 0) != before
-    assert key(TABLE.encode({"word": 0x8000_0000}), 0) != before
+    before = key(Frame(TABLE.encode({"word": 0}), TABLE))
+    assert key(Frame(TABLE.encode({"word": 0x7FFF_FFFC, "speed": 1.0}), TABLE)) == before
+    assert key(Frame(TABLE.encode({"word": 1}), TABLE)) != before
+    assert key(Frame(TABLE.encode({"word": 0x8000_0000}), TABLE)) != before
 
 
 def test_the_key_leaves_volatile_rows_out_and_takes_nan_for_the_same_nan() -> None:
     rows = (Signal("status.speed_override", "speed"), Signal("status.program.run_time", "seconds", volatile=True))
     key = compiled(*rows).key
-    assert key(TABLE.encode({"seconds": 1}), 0) == key(TABLE.encode({"seconds": 2}), 0)
-    assert key(TABLE.encode({"speed": math.nan}), 0) == key(TABLE.encode({"speed": math.nan}), 0)
-    assert key(TABLE.encode({"speed": 0.5}), 0) != key(TABLE.encode({"speed": 0.25}), 0)
+    assert key(Frame(TABLE.encode({"seconds": 1}), TABLE)) == key(Frame(TABLE.encode({"seconds": 2}), TABLE))
+    assert key(Frame(TABLE.encode({"speed": math.nan}), TABLE)) == key(Frame(TABLE.encode({"speed": math.nan}), TABLE))
+    assert key(Frame(TABLE.encode({"speed": 0.5}), TABLE)) != key(Frame(TABLE.encode({"speed": 0.25}), TABLE))
 
 
 def test_raw_values_are_read_by_source() -> None:
     payload = TABLE.encode({"word": 0x81, "inputs": [7, 8], "speed": math.nan})
-    found = raw_values(TABLE, payload, 0, ["word", "word.bit", "inputs.on", "speed"])
+    found = raw_values(Frame(payload, TABLE), ["word", "word.bit", "inputs.on", "speed"])
     assert found == {"word": 0x81, "word.bit": 1, "inputs.on": [3, 0], "speed": None}
-    assert raw_values(TABLE.prefix(44, name="short"), payload, 0, ["word.bit"]) == {"word.bit": None}
+    assert raw_values(Frame(payload, TABLE.prefix(44, name="short")), ["word.bit"]) == {"word.bit": None}
 
 
 def test_the_vendor_group_names_every_field_and_flag() -> None:
-    found, bad = compile_vendor(TABLE).read(TABLE.encode({"word": 0x83, "angles": [1.0, math.nan, 2.0]}), 0)
+    payload = TABLE.encode({"word": 0x83, "angles": [1.0, math.nan, 2.0]})
+    found, quality = compile_vendor(TABLE).read(Frame(payload, TABLE))
     assert isinstance(found, dict)
     assert set(found) == set(TABLE.by_name)
     assert found["word"] == {"raw": 0x83, "low": 3, "bit": 1, "top": 0}
     assert found["inputs"] == [{"raw": 0, "on": 0}, {"raw": 0, "on": 0}]
-    assert (found["angles"], bad) == ([1.0, None, 2.0], True)
+    assert (found["angles"], quality) == ([1.0, None, 2.0], Quality.BAD)
 
 
 def test_a_normaliser_compiles_once_a_layout_and_finds_sources_of_a_subtree() -> None:
@@ -215,8 +220,8 @@ def test_a_normaliser_compiles_once_a_layout_and_finds_sources_of_a_subtree() ->
 
 @given(st.binary(min_size=64, max_size=64))
 def test_no_bytes_make_a_reader_raise_or_tell_what_is_not_finite(payload: bytes) -> None:
-    found, bad = compiled(Signal("joints.position", "angles")).read(payload, 0)
+    found, quality = compiled(Signal("joints.position", "angles")).read(Frame(payload, TABLE))
     assert isinstance(found, model.Joints)
     words = struct.unpack_from("<3f", payload)
-    assert bad is not all(map(math.isfinite, words))
+    assert (quality is Quality.BAD) is not all(map(math.isfinite, words))
     assert [part is None for part in found.position or ()] == [not math.isfinite(word) for word in words]

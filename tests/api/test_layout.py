@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.api.compiler import compile_vendor
+from gateway.api.decoder import Frame
 from gateway.api.layout import Field, Flag, Layout, is_finite
 
 WORD = Field(
@@ -35,7 +36,7 @@ TABLE = Layout(
 
 
 def read(layout: Layout, payload: bytes) -> Mapping[str, object]:
-    found, _ = compile_vendor(layout).read(payload, 0)
+    found, _ = compile_vendor(layout).read(Frame(payload, layout))
     assert isinstance(found, dict)
     return found
 

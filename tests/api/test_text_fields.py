@@ -6,12 +6,13 @@ import struct
 
 import pytest
 
-from gateway.api.compiler import compile_group, compile_vendor, raw_values
+from gateway.api.compiler import compile_group, compile_vendor
 from gateway.api.decoder import Frame, Reject
 from gateway.api.describe import vendor_schema
 from gateway.api.framing import Checksum, FramedDecoder, Framing, Kind
 from gateway.api.layout import Field, Layout
 from gateway.api.model import Quality, Status
+from gateway.api.readers import raw_values
 from gateway.api.signals import Signal
 from gateway.sim.packing import Packer
 
@@ -30,7 +31,7 @@ PAYLOAD = struct.pack("<d8sH6s", 1.5, b"pick\0\0\0x", 7, b"\x00\x01\xfe\xff\x00\
 
 
 def vendor_values(layout: Layout, payload: bytes) -> object:
-    return compile_vendor(layout).read(payload, 0)[0]
+    return compile_vendor(layout).read(Frame(payload, layout))[0]
 
 
 def test_text_ends_at_its_first_nul_and_bytes_are_shown_whole() -> None:
@@ -53,8 +54,8 @@ def test_a_text_that_fills_its_field_needs_no_nul() -> None:
 
 def test_a_frame_with_nan_still_tells_its_texts() -> None:
     payload = struct.pack("<d", float("nan")) + PAYLOAD[8:]
-    data, bad = compile_vendor(TABLE).read(payload, 0)
-    assert bad
+    data, quality = compile_vendor(TABLE).read(Frame(payload, TABLE))
+    assert quality is Quality.BAD
     assert data == {"number": None, "name": "pick", "word": 7, "raw": "0001feff0000"}
 
 
@@ -96,12 +97,12 @@ def test_recordings_hold_the_same_bytes() -> None:
 def test_a_row_takes_the_text_and_the_key_follows_its_bytes() -> None:
     reader = compile_group("status", TABLE, [Signal("status.program.name", "name", str.upper)], {})
     assert reader is not None
-    status, _ = reader.read(PAYLOAD, 0)
+    status, _ = reader.read(Frame(PAYLOAD, TABLE))
     assert isinstance(status, Status)
     assert status.program is not None
     assert status.program.name == "PICK"
-    assert reader.key(PAYLOAD, 0) != reader.key(PAYLOAD.replace(b"pick", b"pack"), 0)
-    assert raw_values(TABLE, PAYLOAD, 0, ["name", "word"]) == {"name": "pick", "word": 7}
+    assert reader.key(Frame(PAYLOAD, TABLE)) != reader.key(Frame(PAYLOAD.replace(b"pick", b"pack"), TABLE))
+    assert raw_values(Frame(PAYLOAD, TABLE), ["name", "word"]) == {"name": "pick", "word": 7}
 
 
 def test_the_schema_says_string() -> None:

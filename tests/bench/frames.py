@@ -35,7 +35,7 @@ def rows() -> Iterator[Row]:
 
 def _protocol_rows(registry: Registry, vendor: str, protocol: Protocol) -> list[Row]:
     frame = _longest(registry, vendor, protocol)
-    raw, start = frame.raw, frame.start
+    raw = frame.raw
     unpack = struct.Struct(f"<{len(raw) // 4}I").unpack_from
     decoder = protocol.reader()
     normaliser = Normaliser(protocol.signals, {**OPTIONS, **_defaults(protocol)})
@@ -45,24 +45,24 @@ def _protocol_rows(registry: Registry, vendor: str, protocol: Protocol) -> list[
 
     def everything() -> None:
         for reader in canonical:
-            reader.read(raw, start)
+            reader.read(frame)
 
     def usual() -> None:
         decoder.feed(raw)
         for reader in states:
-            reader.key(raw, start)
-        readers["joints"].read(raw, start)
-        readers["tcp"].read(raw, start)
+            reader.key(frame)
+        readers["joints"].read(frame)
+        readers["tcp"].read(frame)
 
     candidates: list[tuple[str, Callable[[], object]]] = [
         ("find the frame", lambda: decoder.feed(raw)),
-        ("joints", lambda: readers["joints"].read(raw, start)),
-        ("tcp", lambda: readers["tcp"].read(raw, start)),
-        ("status, when it has changed", lambda: readers["status"].read(raw, start)),
-        ("has status, safety or io changed?", lambda: [reader.key(raw, start) for reader in states]),
+        ("joints", lambda: readers["joints"].read(frame)),
+        ("tcp", lambda: readers["tcp"].read(frame)),
+        ("status, when it has changed", lambda: readers["status"].read(frame)),
+        ("has status, safety or io changed?", lambda: [reader.key(frame) for reader in states]),
         ("usual frame: found, joints, tcp, no change", usual),
         ("every canonical group", everything),
-        ("every field of the vendor group", lambda: readers["vendor"].read(raw, start)),
+        ("every field of the vendor group", lambda: readers["vendor"].read(frame)),
         ("the same fields by ctypes, as others read them", _by_ctypes(frame)),
     ]
     title = f"{vendor}:{protocol.name}"

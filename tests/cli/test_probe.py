@@ -17,7 +17,7 @@ from gateway.api.vendor import Protocol, Vendor
 from gateway.app import connector
 from gateway.cli.main import app
 from gateway.cli.probe import stanza
-from gateway.core.probe import Finding, Question, Verdict, probe, questions
+from gateway.core.probe import Finding, Verdict, probe, questions
 from tests.core import toy
 
 
@@ -52,7 +52,7 @@ async def listening(answer: bytes) -> AsyncIterator[tuple[Controller, int]]:
         tasks.cancel_scope.cancel()
 
 
-def at(port: int, name: str = "polled", **changes: object) -> Protocol:
+def at(port: int | None, name: str = "polled", **changes: object) -> Protocol:
     return dataclasses.replace(toy.POLLED, name=name, port=port, **changes)  # type: ignore[arg-type] # fields of any type
 
 
@@ -194,8 +194,6 @@ async def test_wrong_usage_is_named(arguments: list[str]) -> None:
     assert "HOST" in err or "nobody" in err
 
 
-def test_a_question_knows_its_port() -> None:
-    one = Question(
-        vendor=toy.VENDOR, protocol=at(7, udp_port=8, options=Ways), transport="udp", options=Ways(transport="udp")
-    )
-    assert one.port == 8
+def test_a_question_knows_its_port_and_without_a_port_there_is_none() -> None:
+    both = dataclasses.replace(toy.VENDOR, protocols=(at(7, udp_port=8, options=Ways), at(None)))
+    assert [(one.transport, one.port) for one in questions([both])] == [("tcp", 7), ("udp", 8)]

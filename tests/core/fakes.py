@@ -120,6 +120,13 @@ class FakeConnector:
     def __init__(self, *outcomes: Connection | Exception) -> None:
         self._outcomes = list(outcomes)
         self.attempts_s: list[float] = []
+        self.notes: list[str] = []
+        self.rejects: dict[str, int] = {}
+        self.closed = False
+
+    async def aclose(self) -> None:
+        """Release what is held between connections."""
+        self.closed = True
 
     async def connect(self) -> Connection:
         """Give out the next connection."""

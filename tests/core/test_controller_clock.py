@@ -8,9 +8,10 @@ from zoneinfo import ZoneInfo
 import anyio
 import pytest
 
-from gateway.api.decoder import Event, Frame
+from gateway.api.decoder import Frame
 from gateway.api.layout import Field, Layout
 from gateway.api.model import LinkStats
+from gateway.api.numbers import Numbers
 from gateway.api.vendor import WallClock
 from gateway.core.bus import Bus
 from gateway.core.controller_clock import ControllerClock
@@ -96,11 +97,10 @@ def test_samples_carry_the_controllers_time_once_its_zone_is_known(zone: ZoneInf
 
 def gaps(*numbers: int) -> int | None:
     """The gaps that frames with these numbers have."""
-    counters = LinkCounters(counter_at=0)
-    counters.begin()
-    events: list[Event] = [Frame(bytes((number,)), LAYOUT) for number in numbers]
-    counters.take(0, events, 0.0, 0.0)
-    return counters.second(1.0, 0).gaps
+    counted = Numbers(256)
+    for number in numbers:
+        counted.take(number)
+    return counted.gaps
 
 
 def test_gaps_are_counted_only_where_the_counter_moves() -> None:
@@ -114,10 +114,10 @@ def test_gaps_are_counted_only_where_the_counter_moves() -> None:
     assert LinkCounters().second(0.0, 0).gaps is None
 
 
-def test_a_new_session_begins_without_a_gap() -> None:
-    counters = LinkCounters(counter_at=0)
-    for number in (5, 6, 200):
-        if number == 200:
-            counters.begin()
-        counters.take(0, [Frame(bytes((number,)), LAYOUT)], 0.0, 0.0)
-    assert counters.second(0.0, 0).gaps == 0
+def test_gaps_are_summed_over_the_sessions() -> None:
+    counters = LinkCounters()
+    counters.begin()
+    counters.end(2)
+    counters.begin()
+    assert counters.second(0.0, 0, gaps=None).gaps == 2
+    assert counters.second(0.0, 0, gaps=1).gaps == 3

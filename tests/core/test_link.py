@@ -318,7 +318,7 @@ def test_a_kept_session_that_is_refused_stays_open_and_says_so() -> None:
             return [Refused("900 bytes, known is 20", "incompatible")] if data == b"strange" else super().feed(data)
 
     robot = toy.settings(pushed=True, on_stale="keep")
-    protocol = dataclasses.replace(robot.protocol, make_decoders=lambda _: lambda: Picky(toy.FRAMING))
+    protocol = dataclasses.replace(robot.protocol, make_decoders=lambda *_: lambda: Picky(toy.FRAMING))
     connection = FakeConnection()
 
     async def look(bus: Bus, inbox: Inbox, _: LoopClock) -> None:

@@ -15,11 +15,13 @@ import msgspec
 from msgspec import Meta
 
 from gateway.api.decoder import Event, Frame, Refused, Reject, Skipped
-from gateway.api.framing import FramedDecoder
+from gateway.api.framing import COUNTER_MODULUS, FramedDecoder
+from gateway.api.numbers import Numbers
 from gateway.api.vendor import DecoderFactory
 from vendors.fairino.cnde_narrowing import Narrowing
 from vendors.fairino.cnde_states import ALL_STATES, MOST_DATA, Granted, fitting, granted, name_fault, parse_type
 from vendors.fairino.cnde_wire import (
+    COUNTER_AT,
     DATA,
     DELIMITED,
     ERROR,
@@ -126,6 +128,7 @@ class CndeDecoder:
         self._options = options
         self._learned = learned
         self._frames = FramedDecoder(DELIMITED)
+        self._numbers = Numbers(COUNTER_MODULUS)
         self._phase = Phase.STOPPING
         self._owed = frame(STOP)
         self._ticks = 0  # since the step was sent
@@ -149,6 +152,11 @@ class CndeDecoder:
         warning = [f"the controller says {self._warning}"] if self._warning else []
         return [*waiting, *self._learned.notes(), *differing, *warning]
 
+    @property
+    def gaps(self) -> int | None:
+        """How many data frames are missing by the controller's counter; None while it does not move."""
+        return self._numbers.gaps
+
     def feed(self, data: bytes) -> list[Event]:
         """Take received bytes and return what they completed."""
         events: list[Event] = []
@@ -159,6 +167,7 @@ class CndeDecoder:
             raw = event.raw
             if self._phase is Phase.RUNNING and len(raw) == self._size and raw[3] == DATA:
                 self._wrong = 0
+                self._numbers.take(raw[COUNTER_AT])
                 events.append(Frame(raw, cast("Granted", self._granted).layout))
                 continue
             react = _REACTIONS.get((self._phase, raw[3]))
@@ -270,6 +279,7 @@ class CndeDecoder:
         if len(raw) == self._size:
             self._phase = Phase.RUNNING
             self._wrong = self._starts = 0
+            self._numbers.take(raw[COUNTER_AT])
             return [Frame(raw, cast("Granted", self._granted).layout)]
         self._wrong += 1
         if self._wrong >= _WRONG_IN_A_ROW:
@@ -299,7 +309,7 @@ _REACTIONS: dict[tuple[Phase, int], Callable[[CndeDecoder, bytes], list[Event]]]
 }
 
 
-def make_decoders(options: msgspec.Struct) -> DecoderFactory:
+def make_decoders(options: msgspec.Struct, _rate_hz: float) -> DecoderFactory:
     """Make what makes the decoders of one robot; they share what was learned of it."""
     own = cast("CndeOptions", options)
     learned = Learned(Narrowing(own.wanted))

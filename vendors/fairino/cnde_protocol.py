@@ -9,7 +9,7 @@ from gateway.api.framing import FramedDecoder, Kind
 from gateway.api.vendor import Protocol
 from vendors.fairino.cnde import PATIENCE_TICKS, TICK_S, CndeOptions, make_decoders
 from vendors.fairino.cnde_states import ALL_STATES, granted
-from vendors.fairino.cnde_wire import DATA, DELIMITED, FIRMWARE, MESSAGE, OUTGOING, frame, message
+from vendors.fairino.cnde_wire import COUNTER_AT, DATA, DELIMITED, FIRMWARE, MESSAGE, OUTGOING, frame, message
 from vendors.fairino.signals import SIGNALS
 from vendors.fairino.wall_clock import WALL_CLOCK
 
@@ -18,6 +18,7 @@ class FirmwareProbe:
     """Asks for the firmware's version, which changes nothing: neither for the controller nor for its other clients."""
 
     ready = True
+    gaps = None
 
     def __init__(self) -> None:
         self._frames = FramedDecoder(DELIMITED)
@@ -66,7 +67,7 @@ FRAMING = dataclasses.replace(
         ),
         *(kind for kind in DELIMITED.kinds if kind.type in {MESSAGE, FIRMWARE}),
     ),
-    counter_at=2,
+    counter_at=COUNTER_AT,
 )
 
 CNDE = Protocol(

@@ -18,6 +18,7 @@ from vendors.fairino.cnde_states import HEADER, MOST_DATA, TAIL
 
 MAGIC = b"\x5a\x5a"
 AROUND = HEADER + len(TAIL)
+COUNTER_AT = 2
 CONFIGURE, START, STOP, DATA, MESSAGE, FIRMWARE = 1, 2, 3, 4, 6, 8  # frame types
 SUCCESS, WARNING, ERROR = 0, 2, 3  # message codes; 1 is information, 4 a fault
 _SHOWN = 160  # characters of a controller's own words

@@ -29,7 +29,7 @@ def success(text: str) -> bytes:
 
 
 def vendor_values(found: Frame) -> dict[str, object]:
-    data, _ = Normaliser((), {}).readers(found.layout)["vendor"].read(found.raw, found.start)
+    data, _ = Normaliser((), {}).readers(found.layout)["vendor"].read(found)
     assert isinstance(data, dict)
     return data
 
@@ -396,7 +396,7 @@ def test_options_name_what_is_wrong_with_states() -> None:
 
 
 def test_two_robots_learn_nothing_from_each_other() -> None:
-    first, second = make_decoders(CndeOptions()), make_decoders(CndeOptions())
+    first, second = make_decoders(CndeOptions(), 0), make_decoders(CndeOptions(), 0)
     decoders = [make() for make in (first, first, second)]
     assert all(isinstance(decoder, CndeDecoder) for decoder in decoders)
     learned = [decoder._learned for decoder in decoders if isinstance(decoder, CndeDecoder)]

@@ -92,7 +92,7 @@ def talk(controller: Controller, options: CndeOptions, *, for_s: float) -> tuple
                 tasks.start_soon(controller.push)
                 session = Session(
                     controller.connection,
-                    make_decoders(options)(),
+                    make_decoders(options, 0)(),
                     log,
                     period_s=None,
                     stale_s=1.0,

@@ -142,9 +142,7 @@ async def test_status_reads_the_fake_controller_of_fairino_fws() -> None:
     assert isinstance(frame, Frame)
     assert (frame.layout.name, frame.quality) == ("433", Quality.GOOD)
     readers = Normaliser(STATUS.signals, {"estop_polarity": None}).readers(frame.layout)
-    joints, tcp, wrench, status = (
-        readers[name].read(frame.raw, frame.start)[0] for name in ("joints", "tcp", "wrench", "status")
-    )
+    joints, tcp, wrench, status = (readers[name].read(frame)[0] for name in ("joints", "tcp", "wrench", "status"))
     assert isinstance(joints, Joints)
     assert joints.position == pytest.approx([radians(a) for a in (10.5, -75.25, 88.0, -101.5, -90.125, 33.75)])
     assert joints.effort == pytest.approx([1.5, -62.25, 30.125, -4.5, 0.75, 0.25])

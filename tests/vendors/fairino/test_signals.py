@@ -9,6 +9,7 @@ from math import pi
 
 import pytest
 
+from gateway.api.decoder import Frame
 from gateway.api.model import (
     Analog,
     Controller,
@@ -19,6 +20,7 @@ from gateway.api.model import (
     OperatingMode,
     Power,
     ProgramState,
+    Quality,
     Safety,
     SafetyState,
     Severity,
@@ -61,7 +63,7 @@ def read_frame(values: Mapping[str, object], total: str = "2075", estop_polarity
     layout = BY_NAME[total]
     payload = layout.encode(values)
     readers = normaliser(estop_polarity).readers(layout)
-    found = {group: reader.read(payload, 0)[0] for group, reader in readers.items() if group != "vendor"}
+    found = {group: reader.read(Frame(payload, layout))[0] for group, reader in readers.items() if group != "vendor"}
     return Read(**found)  # type: ignore[arg-type] # the reader of a group returns its struct
 
 
@@ -106,7 +108,7 @@ def test_joints_and_speeds_are_si() -> None:
 
 def test_torques_of_port_8083_are_thousandths() -> None:
     payload = STATUS_433.encode({"jt_cur_tor": [1500.0, -250.0, 0.0, 0.0, 0.0, 1.0]})
-    joints = Normaliser(STATUS_SIGNALS, {}).readers(STATUS_433)["joints"].read(payload, 0)[0]
+    joints = Normaliser(STATUS_SIGNALS, {}).readers(STATUS_433)["joints"].read(Frame(payload, STATUS_433))[0]
     assert isinstance(joints, Joints)
     assert joints.effort == pytest.approx([1.5, -0.25, 0.0, 0.0, 0.0, 0.001])
 
@@ -114,7 +116,7 @@ def test_torques_of_port_8083_are_thousandths() -> None:
 @pytest.mark.parametrize(("name", "told"), [("cell.lua", "cell.lua"), ("x" * 20, None), ("", None)])
 def test_a_name_that_fills_its_field_on_port_8083_may_be_cut_and_is_null(name: str, told: str | None) -> None:
     payload = STATUS_433.encode({"program_name": name})
-    status = Normaliser(STATUS_SIGNALS, {}).readers(STATUS_433)["status"].read(payload, 0)[0]
+    status = Normaliser(STATUS_SIGNALS, {}).readers(STATUS_433)["status"].read(Frame(payload, STATUS_433))[0]
     assert isinstance(status, Status)
     assert status.program is not None
     assert status.program.name == told
@@ -123,7 +125,7 @@ def test_a_name_that_fills_its_field_on_port_8083_may_be_cut_and_is_null(name: s
 def test_port_8083_tells_neither_mode_nor_emergency_stop() -> None:
     readers = Normaliser(STATUS_SIGNALS, {}).readers(STATUS_433)
     assert set(readers) == {"joints", "tcp", "wrench", "status", "vendor"}
-    status = readers["status"].read(b"\xff" * 431, 0)[0]
+    status = readers["status"].read(Frame(b"\xff" * 431, STATUS_433))[0]
     assert isinstance(status, Status)
     assert status.operating_mode is None
     assert status.e_stopped is status.in_error is None
@@ -365,7 +367,7 @@ def test_the_payload_is_in_metres() -> None:
 def test_rows_compile_for_every_layout(protocol: Protocol) -> None:
     for layout in protocol.layouts:
         readers = Normaliser(protocol.signals, {"estop_polarity": None}).readers(layout)
-        data, bad = readers["vendor"].read(bytes(layout.size), 0)
-        assert not bad
+        data, quality = readers["vendor"].read(Frame(bytes(layout.size), layout))
+        assert quality is Quality.GOOD
         assert isinstance(data, dict)
         assert list(data) == [field.name for field in layout.fields]

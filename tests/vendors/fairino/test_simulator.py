@@ -10,7 +10,7 @@ from typing import Literal, cast, get_args
 import pytest
 
 from gateway.api.decoder import Event, Frame, Reject
-from gateway.api.model import Joints, Motion, SafetyState, Status
+from gateway.api.model import Joints, Motion, Quality, SafetyState, Status
 from gateway.api.normaliser import Normaliser
 from gateway.api.vendor import Protocol
 from gateway.sim.scenario import SCENARIOS, find_scenario
@@ -118,8 +118,8 @@ def test_what_is_decoded_is_what_was_meant() -> None:
     for number in range(300):
         (event,) = reader.feed(session.frame(number * 0.25))
         assert isinstance(event, Frame)
-        vendor, bad = normaliser.readers(event.layout)["vendor"].read(event.raw, event.start)
-        assert not bad
+        vendor, quality = normaliser.readers(event.layout)["vendor"].read(event)
+        assert quality is Quality.GOOD
         assert isinstance(vendor, dict)
         plain = {name: word["raw"] if isinstance(word, dict) else word for name, word in vendor.items()}
         assert plain == virtual.sent[-1].values()
@@ -129,7 +129,7 @@ def told(scenario: str, at_s: float) -> tuple[Status, object]:
     (event,) = LEGACY.reader().feed(LegacySession(robot(scenario), options("3.9.8")).frame(at_s))
     assert isinstance(event, Frame)
     readers = Normaliser(SIGNALS, {"estop_polarity": None}).readers(event.layout)
-    status, safety = (readers[group].read(event.raw, 0)[0] for group in ("status", "safety"))
+    status, safety = (readers[group].read(event)[0] for group in ("status", "safety"))
     assert isinstance(status, Status)
     return status, getattr(safety, "state", None)
 
@@ -153,7 +153,7 @@ def test_both_ports_tell_one_motion() -> None:
     for protocol, event in ((LEGACY, legacy), (STATUS, status)):
         assert isinstance(event, Frame)
         readers = Normaliser(protocol.signals, {"estop_polarity": None}).readers(event.layout)
-        joints = readers["joints"].read(event.raw, 0)[0]
+        joints = readers["joints"].read(event)[0]
         assert isinstance(joints, Joints)
         found.append(joints)
     assert found[0].position == found[1].position

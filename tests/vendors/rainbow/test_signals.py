@@ -10,6 +10,7 @@ from typing import TypeVar
 import msgspec
 import pytest
 
+from gateway.api.decoder import Frame
 from gateway.api.layout import Layout
 from gateway.api.model import (
     Controller,
@@ -60,7 +61,11 @@ def read(
     layout: Layout = STATE_580,
 ) -> T:
     """Read one group of a frame that holds some values and is 0 elsewhere."""
-    found, _ = normaliser_of(polarity, external_joints).readers(layout)[GROUPS[kind]].read(layout.encode(values), 0)
+    found, _ = (
+        normaliser_of(polarity, external_joints)
+        .readers(layout)[GROUPS[kind]]
+        .read(Frame(layout.encode(values), layout))
+    )
     assert isinstance(found, kind)
     return found
 
@@ -80,7 +85,8 @@ RELEASED = chunk(1, estop_1=1, estop_2=1)
 
 def test_the_tool_pose_is_a_copy_of_the_reference_and_marked_as_substituted() -> None:
     normaliser = Normaliser(SIGNALS, {"estop_polarity": None, "external_joints": 0})
-    assert normaliser.readers(STATE_580)["tcp"].quality is Quality.SUBSTITUTED
+    _, quality = normaliser.readers(STATE_580)["tcp"].read(Frame(bytes(580), STATE_580))
+    assert quality is Quality.SUBSTITUTED
     assert read(Tcp, {}).substituted == ["pose"]
 
 
@@ -132,16 +138,16 @@ def test_any_masked_value_but_zero_is_a_collision(value: int) -> None:
 
 def test_the_time_zone_never_makes_a_state_topic_change() -> None:
     key = Normaliser(SIGNALS, {"estop_polarity": None, "external_joints": 0}).readers(STATE_580)["safety"].key
-    before = key(STATE_580.encode({}), 0)
-    assert key(STATE_580.encode({"op_stat_self_collision": {"time_zone_raw": 0xFFFFFFF}}), 0) == before
-    assert key(STATE_580.encode(chunk(3, tcp_speed_x10=999)), 0) == before
-    assert key(STATE_580.encode({"op_stat_self_collision": 1}), 0) != before
+    before = key(Frame(STATE_580.encode({}), STATE_580))
+    assert key(Frame(STATE_580.encode({"op_stat_self_collision": {"time_zone_raw": 0xFFFFFFF}}), STATE_580)) == before
+    assert key(Frame(STATE_580.encode(chunk(3, tcp_speed_x10=999)), STATE_580)) == before
+    assert key(Frame(STATE_580.encode({"op_stat_self_collision": 1}), STATE_580)) != before
 
 
 def test_run_time_and_temperatures_never_make_status_change() -> None:
     key = Normaliser(SIGNALS, {"estop_polarity": None, "external_joints": 0}).readers(STATE_580)["status"].key
-    before = key(STATE_580.encode({}), 0)
-    assert key(STATE_580.encode({"task_run_time": 99} | chunk(1, cpu_temp_half=30)), 0) == before
+    before = key(Frame(STATE_580.encode({}), STATE_580))
+    assert key(Frame(STATE_580.encode({"task_run_time": 99} | chunk(1, cpu_temp_half=30)), STATE_580)) == before
 
 
 def test_what_the_frame_does_not_have_is_null() -> None:
@@ -265,7 +271,8 @@ def test_cabinet_temperatures_are_stored_halved_and_unknown_when_zero() -> None:
 @pytest.mark.parametrize("key", ["cpu_temperature", "board_temperature"])
 def test_each_cabinet_temperature_is_uncertain_by_itself(key: str) -> None:
     rows = [row for row in SIGNALS if row.key == f"controller.{key}"]
-    assert Normaliser(rows, {}).readers(STATE_580)["controller"].quality is Quality.UNCERTAIN
+    _, quality = Normaliser(rows, {}).readers(STATE_580)["controller"].read(Frame(bytes(580), STATE_580))
+    assert quality is Quality.UNCERTAIN
 
 
 def test_every_vector_states_the_quality_of_every_group() -> None:

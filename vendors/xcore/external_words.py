@@ -1,0 +1,139 @@
+"""The words of External Communication that only ask, and how their answers are read.
+
+Source: xCore Control System User Manual V2.2_A, 10.3 External communication. `false` also means that the query has
+failed, which the manual says of every word that answers true or false.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from gateway.api.record import Record, Value
+
+SOURCE = "xCore Control System User Manual V2.2_A, 10.3 External communication"
+FLAGS = {b"true": True, b"false": False, b"null": None}
+CART_POS = 10  # x y z, a b c, q1 to q4
+LONGEST = 4096  # bytes of an answer; the longest of the manual, ten numbers, has some 200
+
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_NUMBERS = re.compile(rf"\s*(?:[A-Za-z_]+\s*:\s*)?({_NUMBER}(?:[\s,;\u3001]+{_NUMBER})*)[\s,;\u3001]*")
+_SEPARATOR = re.compile(r"[\s,;\u3001]+")
+_HIGHEST = 1e9  # no joint, length, speed or torque is beyond
+
+
+class BadAnswerError(ValueError):
+    """An answer that is none to its word; the text says what was found and what is expected."""
+
+
+Parse = Callable[[str, int], object]
+
+
+def _numbers(text: str) -> list[float]:
+    found = _NUMBERS.fullmatch(text)
+    if found is None:
+        raise BadAnswerError(f"{_shown(text)} are no numbers")
+    numbers = [float(one) for one in _SEPARATOR.split(found[1])]
+    if any(abs(one) > _HIGHEST for one in numbers):
+        raise BadAnswerError(f"{_shown(text)} holds a number beyond all measure")
+    return numbers
+
+
+def _joints(text: str, axes: int) -> list[float]:
+    numbers = _numbers(text)
+    if len(numbers) < axes:
+        raise BadAnswerError(f"{len(numbers)} numbers for {axes} axes: if the robot has fewer, set axes")
+    return numbers
+
+
+def _pose(text: str, _axes: int) -> list[float]:
+    numbers = _numbers(text)
+    if len(numbers) != CART_POS:
+        raise BadAnswerError(f"{len(numbers)} numbers, not {CART_POS}: x y z, a b c, q1 to q4")
+    return numbers
+
+
+def _text(text: str, _axes: int) -> str | None:
+    if not text.isprintable():
+        raise BadAnswerError(f"{_shown(text)} is no text that can be printed")
+    return None if text.strip() == "null" else text.strip()
+
+
+def _shown(text: str) -> str:
+    return repr(text if len(text) <= 40 else f"{text[:40]}…")  # noqa: PLR2004 - what fits into a line
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Word:
+    """One word that may be asked.
+
+    Args:
+        name: The word itself.
+        value: What it answers, as a row of the record.
+        parse: Reads an answer that ends with the suffix; None: the answer is true, false or null, and complete by that.
+        wish_hz: How often it is asked if nothing else is configured; 0: not.
+    """
+
+    name: str
+    value: Value
+    parse: Parse | None = None
+    wish_hz: float = 0.0
+
+
+def _flag(name: str, meaning: str, wish_hz: float) -> Word:
+    return Word(name=name, value=Value(name=name, type=bool, meaning=meaning), wish_hz=wish_hz)
+
+
+def _array(name: str, unit: str | None, meaning: str, wish_hz: float, parse: Parse = _joints) -> Word:
+    value = Value(name=name, type=list[float], unit=unit, meaning=meaning)
+    return Word(name=name, value=value, parse=parse, wish_hz=wish_hz)
+
+
+def _words(name: str, meaning: str, wish_hz: float) -> Word:
+    return Word(name=name, value=Value(name=name, type=str, meaning=meaning), parse=_text, wish_hz=wish_hz)
+
+
+_MORE = "axes beyond those of the arm follow, the rail in"
+WORDS: dict[str, Word] = {
+    word.name: word
+    for word in (
+        _array("jnt_pos", "rad", f"Joint positions; {_MORE} m", 2.0),
+        _array("cart_pos", "mm|deg", "x y z, a b c, and a quaternion q1 to q4 whose order is not stated", 2.0, _pose),
+        _flag("estop_state", "What it means depends on the controller's setting `e-stop level type`", 1.0),
+        _flag("fault_state", "true: fault", 1.0),
+        _array("jnt_vel", "rad/s", f"Joint velocities; {_MORE} m/s", 0.5),
+        _array("jnt_trq", None, "Joint torques, in N·m or per mille of the rated torque: the manual says both", 0.5),
+        _flag("collision_state", "true: collision; cobots only", 0.5),
+        _flag("motor_on_state", "true: motors on", 0.5),
+        _flag("robot_running_state", "true: a program runs", 0.5),
+        _flag("operating_mode", "true: automatic; false: manual or waiting", 0.5),
+        _words("task_state", "ready, jog, load_identify, dynamic_identify, drag, program, demo, rci or debug", 0.5),
+        _words("current_prog", "Name of the loaded program; null: none", 0.5),
+        _flag("home_state", "true: the home output is active", 0.0),
+        _words("list_prog", "Names of the programs", 0.0),
+        _words("state", "A word of older controllers, which the manual no longer lists", 0.0),
+        _words("alarm_info", "A word of older controllers, which the manual no longer lists", 0.0),
+    )
+}
+
+# What moves or switches something: listed so that no suffix can hold one of them.
+CONTROL_WORDS = (
+    "start",
+    "stop",
+    "clear_alarm",
+    "pp_to_main",
+    "motor_on",
+    "motor_off",
+    "switch_mode",
+    "open_drag",
+    "close_drag",
+    "load_prog",
+    "SocketInterface",
+)
+
+RECORD = Record(
+    name="External communication",
+    fields=tuple(word.value for word in WORDS.values()),
+    source=SOURCE,
+)

@@ -1,0 +1,55 @@
+"""Which entries of the controller's log stand as faults: the log tells when one comes, but never when it goes."""
+
+from __future__ import annotations
+
+from gateway.api.model import Fault, Severity
+from vendors.xcore.stream_record import Entry
+
+_SEVERITIES = {"warning": Severity.WARNING, "error": Severity.ERROR}
+# What an entry of the log is about is over when the robot, having stood still, does one of these again.
+_AT_WORK = {"jog", "jogging", "moving", "rlProgram", "rtControlling", "demo"}
+MOST = 16
+
+
+class LogFaults:
+    """The faults of one session.
+
+    An entry of level error or warning, or of none, stands from when it comes until the robot works again after it has
+    not. Before the first evidence of either kind nothing is known: `standing` is None.
+
+    Attributes:
+        standing: The faults, newest last; None: not known.
+    """
+
+    def __init__(self) -> None:
+        self.standing: list[Fault] | None = None
+        self._stood_still = False
+
+    def take(self, entry: Entry) -> bool:
+        """Take an entry of the log; whether the faults have changed."""
+        if entry.level is not None and entry.level not in _SEVERITIES:
+            return False
+        log = entry.log
+        fault = Fault(
+            code=str(log.id),
+            main=log.id,
+            severity=_SEVERITIES.get(entry.level or ""),
+            text=log.content or None,
+            remedy=log.repair or None,
+        )
+        self._stood_still = False
+        before = self.standing or []
+        if any(fault.key == known.key for known in before):
+            return False
+        self.standing = [*before, fault][-MOST:]
+        return True
+
+    def observe(self, operation_state: str) -> bool:
+        """Take what the robot is busy with; whether the faults have changed."""
+        if operation_state not in _AT_WORK:
+            self._stood_still = self._stood_still or operation_state != "unknown"
+            return False
+        if self.standing == [] or (self.standing and not self._stood_still):
+            return False
+        self.standing = []
+        return True

@@ -1,0 +1,375 @@
+"""The decoder of our stream `xcore-objects/1`: one JSON object a line, hello first; see docs/xcore-objects.md.
+
+The gateway only listens; what it may ask besides are reading commands, each answered by one result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, cast
+
+import msgspec
+from msgspec import Meta
+
+from gateway.api.asking import Rota
+from gateway.api.decoder import Entry, Event, Frame, Occurrence, Refused, Reject, Skipped
+from gateway.api.lines import Lines
+from gateway.api.model import Command, CommandFeedback, CommandsMissed, EventKind
+from gateway.api.numbers import Numbers
+from gateway.api.vendor import DecoderFactory
+from vendors.xcore.checking import ObjectError, list_problems_of, object_of
+from vendors.xcore.log_faults import LogFaults
+from vendors.xcore.objects import Info, LogInfo
+from vendors.xcore.stream_record import LONGEST, RECORD, SCHEMA, UNITS
+from vendors.xcore.stream_record import Entry as LogEntry
+
+TICK_S = 0.1
+# Reading commands that are asked for by name, and nothing else.
+OUTGOING = rb'\{"type":"command","id":"g[0-9]+","name":"(?:toolset)","args":\{\}\}\n'
+_ANSWER_TICKS = 50  # a reading command without a result for so long is given up
+# What may be asked: reading commands whose result fills a value of the record.
+QUESTIONS = ("toolset",)
+_OBJECTS = {"cartPosture": "CartesianPosition", "keypad": "KeyPadState", "toolset": "Toolset"}
+_PER_AXIS = ("jointPos", "jointVel", "jointTorque")
+_HELD = {"collided", "rlExecution", "connected", "log", "faults"}
+_STATE = frozenset(RECORD.by_name) - _HELD - {"ts", "toolset"}
+Wish = Annotated[float, Meta(gt=0, le=10, description="How often it is asked, in Hz.")]
+Json = Mapping[str, object]
+
+
+class ObjectsOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Options of the `objects` protocol."""
+
+    ask: Annotated[
+        dict[str, Wish],
+        Meta(
+            description="Reading commands that the gateway sends to the agent, each with its rate in Hz; every one is a "
+            f"call of the vendor's SDK. Known: {', '.join(QUESTIONS)}."
+        ),
+    ] = {}
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in self.ask if name not in QUESTIONS]
+        if unknown:
+            raise ValueError(f"ask: {unknown[0]!r} is no reading command whose result is used; {', '.join(QUESTIONS)}")
+
+
+class BadMessageError(ValueError):
+    """A message that cannot be used.
+
+    Attributes:
+        reason: A short, stable word that rejects are counted by.
+    """
+
+    def __init__(self, reason: str, detail: str) -> None:
+        super().__init__(detail)
+        self.reason = reason
+
+
+class ObjectsDecoder:
+    """One session with an agent.
+
+    Args:
+        options: The robot's options.
+    """
+
+    def __init__(self, options: ObjectsOptions) -> None:
+        self._lines = Lines(b"\n", LONGEST)
+        self._numbers = Numbers()
+        self._rota = Rota(options.ask, 1 / TICK_S)
+        self._faults = LogFaults()
+        self._info: Info | None = None
+        self._asked: dict[str, tuple[str, int]] = {}  # id -> what was asked, and in which tick
+        self._ticks = self._questions = self._unanswered = 0
+        self._held: dict[str, object] = {}  # what events have told, until the next of their kind
+        self._refusals: dict[str, str] = {}
+        self.ready = False
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """What the operator should know of this session."""
+        found = (
+            [] if self.ready else ["connected, but no hello came: is it the agent of xcore-objects that listens there?"]
+        )
+        if self._held.get("connected") is False:
+            found.append("the agent says that its SDK has lost the controller")
+        found += [f"the agent refuses {name}: {why}" for name, why in self._refusals.items()]
+        if self._unanswered:
+            found.append(f"{self._unanswered} reading commands were not answered within {_ANSWER_TICKS * TICK_S:g} s")
+        return found
+
+    @property
+    def gaps(self) -> int | None:
+        """How many messages the agent has numbered and we did not see."""
+        return self._numbers.gaps
+
+    @property
+    def pending(self) -> int:
+        """How many bytes wait for the end of their line."""
+        return self._lines.pending
+
+    def feed(self, data: bytes) -> list[Event]:
+        """Take received bytes and return what they completed."""
+        events: list[Event] = []
+        for line in self._lines.feed(data):
+            events += self._line(line) if isinstance(line, bytes) else [line]
+        return events
+
+    def end(self) -> list[Reject]:
+        """Return what is left in the buffer."""
+        return self._lines.end()
+
+    def outgoing(self) -> bytes:
+        """Nothing is owed: the agent speaks first."""
+        return b""
+
+    def tick(self) -> bytes | Refused:
+        """Ask what is due, one question at a time for each name; give up what is not answered."""
+        self._ticks += 1
+        for question, (_, asked) in list(self._asked.items()):
+            if self._ticks - asked > _ANSWER_TICKS:
+                del self._asked[question]
+                self._unanswered += 1
+        if not self.ready:
+            return b""
+        name = self._rota.next()
+        if name is None or any(name == asked for asked, _ in self._asked.values()):
+            return b""
+        self._questions += 1
+        new = f"g{self._questions}"
+        self._asked[new] = (name, self._ticks)
+        return msgspec.json.encode({"type": "command", "id": new, "name": name, "args": {}}) + b"\n"
+
+    def goodbye(self) -> bytes:
+        """Nothing is owed before a close: the agent's connection to the robot is its own."""
+        return b""
+
+    def _line(self, raw: bytes) -> list[Event]:
+        text = raw.strip(b"\r\n")
+        if not text:
+            return [Skipped(raw, "empty line")]
+        try:
+            return self._message(raw, _parsed(text))
+        except BadMessageError as error:
+            return [Reject(raw, error.reason, str(error))]
+
+    def _message(self, raw: bytes, message: Json) -> list[Event]:
+        kind = message.get("type")
+        if not isinstance(kind, str):
+            raise BadMessageError("no_type", "the message has no member `type` that is a text")
+        if kind == "hello":
+            return self._hello(raw, message)
+        if not self.ready:
+            raise BadMessageError("no_hello", f"a message {kind[:40]!r} before the hello")
+        self._count(kind, message)
+        handler = _HANDLERS.get(kind)
+        return [Skipped(raw, "unknown type")] if handler is None else handler(self, raw, message)
+
+    def _count(self, kind: str, message: Json) -> None:
+        """Follow the number of a message; results have none."""
+        if kind == "result":
+            return
+        number = message.get("seq")
+        if type(number) is not int or number < 1:
+            raise BadMessageError("value", f"{kind}: seq is {number!r}, not a whole number from 1 on")
+        self._numbers.take(number)
+
+    def _hello(self, raw: bytes, message: Json) -> list[Event]:
+        schema = message.get("schema")
+        if self.ready:
+            raise BadMessageError("hello", "a second hello in one connection")
+        if schema != SCHEMA:
+            told = f"it speaks {str(schema)[:60]!r}, this gateway {SCHEMA!r}: use an agent of the same version"
+            return [Skipped(raw, "hello"), Refused(told, "incompatible")]
+        units = message.get("units")
+        if not isinstance(units, Mapping) or any(units.get(name) != unit for name, unit in UNITS.items()):
+            told = f"its units are {str(units)[:120]}, those of {SCHEMA} are {UNITS}"
+            return [Skipped(raw, "hello"), Refused(told, "incompatible")]
+        info = message.get("info")
+        if info is not None:
+            self._info = cast("Info", _object("info", "Info", info))
+        self.ready = True
+        return [Skipped(raw, "hello")]
+
+    def _state(self, raw: bytes, message: Json) -> list[Event]:
+        values = self._values(message, {name: told for name, told in message.items() if name in _STATE})
+        for name in _PER_AXIS:
+            self._check_axes(name, values.get(name))
+        running = values.get("operationState")
+        if isinstance(running, str) and self._faults.observe(running):
+            self._held["faults"] = self._faults.standing
+        return [Frame(raw, RECORD, values={**values, **self._held})]
+
+    def _event(self, raw: bytes, message: Json) -> list[Event]:
+        name, data = message.get("event"), message.get("data")
+        if not isinstance(data, Mapping):
+            raise BadMessageError("value", "event: data is no object")
+        if name == "moveExecution":
+            return [Occurrence(raw, (_feedback(message, data),))]
+        if name == "safety":
+            return self._hold(raw, self._values(message, {"collided": data.get("collided")}))
+        if name == "rlExecution":
+            return self._hold(raw, self._values(message, {"rlExecution": data}))
+        if name == "connection":
+            values = self._values(message, {"connected": data.get("connected")})
+            if values["connected"] is not False:
+                return self._hold(raw, values)
+            forgotten = dict.fromkeys((*_STATE, *self._held))
+            self._held.clear()
+            return self._hold(raw, {**forgotten, **values})
+        return [Skipped(raw, "unknown event")]
+
+    def _hold(self, raw: bytes, values: dict[str, object]) -> list[Event]:
+        """A frame of what an event tells; it stays so until the next one, so every state tells it again."""
+        self._held.update({name: value for name, value in values.items() if name in _HELD and value is not None})
+        return [Frame(raw, RECORD, values=values)]
+
+    def _log(self, raw: bytes, message: Json) -> list[Event]:
+        level = message.get("level")
+        if level is not None and not isinstance(level, str):
+            raise BadMessageError("value", f"log: level is {level!r}, not info, warning, error or null")
+        entry = LogEntry(level, cast("LogInfo", _object("log", "LogInfo", message.get("log"))))
+        values = self._values(message, {})
+        values["log"] = entry
+        if self._faults.take(entry):
+            values["faults"] = self._faults.standing
+        return self._hold(raw, values)
+
+    def _issued(self, raw: bytes, message: Json) -> list[Event]:
+        kind, commands, name = message.get("class"), message.get("commands"), message.get("cmdID")
+        axes = None if self._info is None else self._info.joint_num
+        wrong = list_problems_of(kind, commands, axes=axes)
+        if not isinstance(name, str):
+            raise BadMessageError("value", "issued: cmdID is no text")
+        if wrong or not isinstance(kind, str) or not isinstance(commands, list):
+            lost = len(commands) if isinstance(commands, list) else 1
+            missed = Entry(EventKind.COMMAND_MISSED, CommandsMissed(count=max(1, lost)), _raw(message))
+            told = f"issued {name}: {wrong[0] if wrong else 'no commands'}"
+            return [Reject(raw, "command", told), Occurrence(b"", (missed,))]
+        source, total = _raw(message), len(commands)
+        kind = kind if kind.endswith("Command") else f"{kind}Command"
+        return [
+            Occurrence(
+                raw,
+                tuple(
+                    Entry(
+                        EventKind.COMMAND_ISSUED,
+                        Command(id=name, type=kind, index=index, total=total, object=one),
+                        source,
+                    )
+                    for index, one in enumerate(commands)
+                ),
+            )
+        ]
+
+    def _lost(self, raw: bytes, message: Json) -> list[Event]:
+        count = message.get("count")
+        if type(count) is not int or count < 1:
+            raise BadMessageError("value", f"lost: count is {count!r}, not a whole number from 1 on")
+        return [Occurrence(raw, (Entry(EventKind.COMMAND_MISSED, CommandsMissed(count=count), _raw(message)),))]
+
+    def _result(self, raw: bytes, message: Json) -> list[Event]:
+        asked = self._asked.pop(str(message.get("id")), None)
+        if asked is None:
+            told = f"a result for {str(message.get('id'))[:40]!r}, which nobody waits for"
+            raise BadMessageError("unrequested", told)
+        name = asked[0]
+        if message.get("ok") is not True:
+            self._refusals[name] = str(message.get("error") or f"ec {message.get('ec')}, {message.get('message')}")[
+                :160
+            ]
+            return [Skipped(raw, f"result of {name}: refused")]
+        self._refusals.pop(name, None)
+        return [Frame(raw, RECORD, values=self._values({}, {name: message.get("value")}))]
+
+    def _values(self, message: Json, told: Json) -> dict[str, object]:
+        """Values of the record, checked.
+
+        Raises:
+            BadMessageError: One of them is no such value.
+        """
+        found: dict[str, object] = {}
+        for name, value in told.items():
+            if name in _OBJECTS and value is not None:
+                found[name] = _object(name, _OBJECTS[name], value)
+                continue
+            try:
+                found[name] = RECORD.convert(name, value)
+            except ValueError as error:
+                raise BadMessageError("value", str(error)) from None
+        ts = message.get("ts")
+        if type(ts) is int and 0 < ts < _LATEST_US:
+            found["ts"] = ts
+        return found
+
+    def _check_axes(self, name: str, value: object) -> None:
+        axes = None if self._info is None else self._info.joint_num
+        if axes is not None and isinstance(value, list) and len(value) != axes:
+            raise BadMessageError("value", f"{name}: {len(value)} values for a robot of {axes} axes")
+
+
+_LATEST_US = 253_402_300_800_000_000  # the year 10000
+
+
+def _parsed(text: bytes) -> Json:
+    try:
+        message = msgspec.json.decode(text)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise BadMessageError("json", str(error)) from None
+    if not isinstance(message, dict):
+        raise BadMessageError("json", f"{text[:40]!r} is no JSON object")
+    return message
+
+
+def _object(name: str, kind: str, value: object) -> object:
+    if not isinstance(value, Mapping):
+        raise BadMessageError("value", f"{name} is no object")
+    try:
+        return object_of(kind, value, lenient=True)
+    except ObjectError as error:
+        raise BadMessageError("value", f"{name}: {error}") from None
+
+
+def _feedback(message: Json, data: Json) -> Entry:
+    """The execution feedback of one command object."""
+    index, reached = data.get("wayPointIndex"), data.get("reachTarget")
+    told, custom = data.get("remark"), data.get("customInfo")
+    if not isinstance(data.get("cmdID"), str):
+        raise BadMessageError("value", "moveExecution: cmdID is no text")
+    if not (index is None or type(index) is int) or not (reached is None or isinstance(reached, bool)):
+        raise BadMessageError("value", "moveExecution: wayPointIndex is a whole number, reachTarget true or false")
+    if not all(one is None or isinstance(one, str) for one in (told, custom)):
+        raise BadMessageError("value", "moveExecution: remark and customInfo are texts")
+    feedback = CommandFeedback(
+        id=cast("str", data["cmdID"]),
+        index=index,
+        reached=reached,
+        error=data.get("error") or None,
+        text=cast("str | None", told) or None,
+        custom=cast("str | None", custom),
+    )
+    return Entry(EventKind.COMMAND_EXECUTED, feedback, _raw(message))
+
+
+def _raw(message: Json) -> dict[str, object]:
+    return {name: message[name] for name in ("seq", "ts") if name in message}
+
+
+_HANDLERS: dict[str, Callable[[ObjectsDecoder, bytes, Json], list[Event]]] = {
+    "state": ObjectsDecoder._state,  # noqa: SLF001 - the table is part of the class
+    "event": ObjectsDecoder._event,  # noqa: SLF001
+    "log": ObjectsDecoder._log,  # noqa: SLF001
+    "issued": ObjectsDecoder._issued,  # noqa: SLF001
+    "lost": ObjectsDecoder._lost,  # noqa: SLF001
+    "result": ObjectsDecoder._result,  # noqa: SLF001
+}
+
+
+def make_decoders(options: msgspec.Struct, _rate_hz: float) -> DecoderFactory:
+    """Make what makes the decoders of one robot."""
+    return lambda: ObjectsDecoder(cast("ObjectsOptions", options))
+
+
+def make_reader() -> ObjectsDecoder:
+    """Make a decoder that only reads."""
+    return ObjectsDecoder(ObjectsOptions())
