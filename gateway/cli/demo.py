@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import signal
+import socket
 import sys
 import time
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Iterator, Mapping
 from contextlib import AsyncExitStack
 from functools import partial
 from typing import Annotated, cast
@@ -70,7 +72,7 @@ def demo(
 
 
 def demo_toml(registry: Registry, listen: str = DEFAULT_LISTEN) -> str:
-    """The configuration of the demo: one robot for each protocol and transport that has a virtual controller."""
+    """The configuration of the demo: one robot for each way of reading a virtual controller."""
     lines = [
         "# The configuration of `robot-gateway demo`: one virtual controller of each vendor and protocol.",
         "# By hand: `robot-gateway simulate VENDOR --host ADDRESS` in other terminals, then",
@@ -79,18 +81,15 @@ def demo_toml(registry: Registry, listen: str = DEFAULT_LISTEN) -> str:
         "[server]",
         f'listen = "{listen}"',
     ]
-    served = [
-        (vendor, simulator, port)
-        for vendor, simulator in _simulators(registry)
-        for port in simulator.ports
-        if port.protocol is not None
-    ]
-    for number, (vendor, simulator, port) in enumerate(served, start=1):
-        lines += ["", "[[robots]]", f'name = "r{number}"', f'vendor = "{vendor}"', f'protocol = "{port.protocol}"']
+    served = [(vendor, demo) for vendor, simulator in _simulators(registry) for demo in simulator.demos]
+    for number, (vendor, demo) in enumerate(served, start=1):
+        lines += ["", "[[robots]]", f'name = "r{number}"', f'vendor = "{vendor}"', f'protocol = "{demo.protocol}"']
         lines.append(f'host = "127.0.0.{_FIRST_ADDRESS + number - 1}"')
-        lines += [f"{key} = {toml_value(value)}" for key, value in simulator.demo.items()]
-        if port.transport != "tcp":
-            lines += [f"[robots.{port.protocol}]", f"transport = {toml_value(port.transport)}"]
+        options = demo.robot.get(demo.protocol, {})
+        lines += [f"{key} = {toml_value(value)}" for key, value in demo.robot.items() if value is not options]
+        if isinstance(options, Mapping) and options:
+            lines.append(f"[robots.{demo.protocol}]")
+            lines += [f"{key} = {toml_value(value)}" for key, value in options.items()]
     return "\n".join(lines) + "\n"
 
 
@@ -132,18 +131,31 @@ async def _served(
     """Serve the virtual controller of a robot, on a free port if the vendor's is taken, and point the robot at it."""
     if isinstance(robot, BrokenRobot):
         raise robot.error
-    simulator = simulators[robot.vendor.name]
+    transport, protocol = robot.protocol.transport(robot.options), robot.protocol.name
+    calls: dict[str, tuple[str, int]] = {}
+    if transport == "tcp_server":
+        calls[protocol] = ("127.0.0.1", _free(robot.port))
+    served = partial(serve, simulators[robot.vendor.name], calls=lambda _number: calls)
     controller: VirtualController | None = None
     for host, port in ((robot.host, None), (robot.host, 0)):
         try:
-            (controller,) = await stack.enter_async_context(serve(simulator, host=host, port=port))
+            (controller,) = await stack.enter_async_context(served(host=host, port=port))
             break
         except SimulatorError:
             continue
     if controller is None:  # no such address: on macOS there is only one
-        (controller,) = await stack.enter_async_context(serve(simulator, host="127.0.0.1", port=0))
-    port = controller.number_of(robot.protocol.name, robot.protocol.transport(robot.options))
-    return dataclasses.replace(robot, host=controller.host, port=port, origin="sim")
+        (controller,) = await stack.enter_async_context(served(host="127.0.0.1", port=0))
+    return dataclasses.replace(
+        robot, host=controller.host, port=controller.number_of(protocol, transport), origin="sim"
+    )
+
+
+def _free(port: int) -> int:
+    """The port, if it may be listened on, or another that may."""
+    for number in (port, 0):
+        with contextlib.suppress(OSError), socket.create_server(("127.0.0.1", number)) as found:
+            return int(found.getsockname()[1])
+    return port
 
 
 async def _show(gateway: Gateway, robots: list[RobotSettings]) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import ipaddress
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 from functools import partial
 from typing import TYPE_CHECKING
@@ -61,6 +61,7 @@ class VirtualController:
         options: Of the simulator's own struct.
         plan: The chaos that its state ports suffer.
         tasks: Where its calls are made.
+        calls: The gateways that it calls for some protocols, as host and port, whatever the options say.
 
     Attributes:
         missing: The ports that it does without, each with the reason.
@@ -76,6 +77,7 @@ class VirtualController:
         options: msgspec.Struct,
         plan: ChaosPlan,
         tasks: TaskGroup,
+        calls: Mapping[str, tuple[str, int]] = {},
     ) -> None:
         self.robot = robot
         self.host = host
@@ -87,7 +89,7 @@ class VirtualController:
         numbers = zip(simulator.ports, simulator.port_numbers(port), strict=True)
         offered = [(listener, number) for listener, number in numbers if listener.offered(options)]
         self._listeners = tuple(listener for listener, _ in offered)
-        self._calls = [listener.calls(options) for listener in self._listeners]
+        self._calls = [calls.get(port.protocol or "") or port.calls(options) for port in self._listeners]
         self._numbers = [
             number if gateway is None else gateway[1] for (_, number), gateway in zip(offered, self._calls, strict=True)
         ]
@@ -113,17 +115,6 @@ class VirtualController:
         """Each port that calls instead: its protocol, or None, and the address of the gateway."""
         pairs = zip(self._listeners, self._calls, strict=True)
         return tuple((port.protocol, _text(*gateway)) for port, gateway in pairs if gateway is not None)
-
-    def port_of(self, protocol: str, transport: str = "tcp") -> int:
-        """The number, as bound, of the port of a protocol.
-
-        Raises:
-            KeyError: There is none.
-        """
-        for port, number in zip(self._listeners, self._numbers, strict=True):
-            if (port.protocol, port.transport) == (protocol, transport):
-                return number
-        raise KeyError(f"{protocol}/{transport}")
 
     def number_of(self, protocol: str, transport: Transport = "tcp") -> int:
         """The port of a protocol over a transport; "tcp_server" for one that calls: it is the gateway's then.
@@ -246,6 +237,7 @@ async def serve(
     chaos: str | ChaosPlan = CALM,
     seed: int = 0,
     keep: int = 0,
+    calls: Callable[[int], Mapping[str, tuple[str, int]]] = lambda _number: {},
 ) -> AsyncIterator[tuple[VirtualController, ...]]:
     """Serve virtual controllers while the context lasts.
 
@@ -259,6 +251,7 @@ async def serve(
         chaos: What happens to the bytes that their state ports send.
         seed: For what is random.
         keep: How many of the last frames each robot keeps with what they meant.
+        calls: The gateways that each controller calls, by its number from 0 and by protocol.
 
     Yields:
         The controllers, listening and calling.
@@ -284,6 +277,7 @@ async def serve(
                     options=spoken,
                     plan=plan,
                     tasks=tasks,
+                    calls=calls(number),
                 )
                 for number, address in enumerate(addresses(host, count))
             )

@@ -137,18 +137,36 @@ class NoSimulatorOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Demo:
+    """One way of reading a virtual controller: a robot of the demo, and what a test of the protocol begins with.
+
+    Args:
+        protocol: What is spoken.
+        robot: Further keys of the robot's table in the configuration; the protocol's options stand in a mapping under
+            its name.
+    """
+
+    protocol: str
+    robot: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Simulator:
     """A vendor's virtual controller.
 
     Args:
         ports: The main port first.
         options: A frozen msgspec struct of the vendor's own options; every field has a default and a description.
-        demo: Further keys that a demo writes into the robot's table of the configuration.
+        demos: The ways of reading it that a demo shows; for each protocol the first is the usual one.
     """
 
     ports: tuple[Port, ...]
     options: type[msgspec.Struct] = NoSimulatorOptions
-    demo: Mapping[str, object] = field(default_factory=dict)
+    demos: tuple[Demo, ...] = ()
+
+    def keys(self, protocol: str) -> Mapping[str, object]:
+        """Return the keys that a robot of a protocol needs in the configuration besides host and port."""
+        return next((demo.robot for demo in self.demos if demo.protocol == protocol), {})
 
     def port_numbers(self, main: int | None) -> tuple[int, ...]:
         """Return the number of each port.

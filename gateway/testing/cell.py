@@ -8,10 +8,13 @@ Context managers for the test's own body, never fixtures: a fixture would close 
 
 from __future__ import annotations
 
+import socket
 from collections.abc import AsyncIterator, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from typing import cast
+
+import msgspec
 
 from gateway.api.vendor import Transport
 from gateway.app import Gateway, running
@@ -54,6 +57,7 @@ async def virtual_cell(
     seed: int = 0,
     keep: int = 0,
     settings: Mapping[str, object] | None = None,
+    simulated: msgspec.Struct | None = None,
     registry: Registry | None = None,
 ) -> AsyncIterator[VirtualCell]:
     """Run virtual controllers and a gateway that reads them, all on free ports of this machine.
@@ -69,6 +73,7 @@ async def virtual_cell(
         keep: How many of the last frames each controller keeps with what they meant.
         settings: Further keys of each robot's entry in the configuration, such as `rate_hz`, or `cnde` for the table of
             that protocol's options.
+        simulated: Options of the virtual controllers; None: their defaults.
         registry: Where the plugin is found.
 
     Raises:
@@ -78,11 +83,23 @@ async def virtual_cell(
     registry = registry or Registry()
     simulator = cast("Simulator", registry.simulator(vendor))
     chosen = protocol or registry.vendor(vendor).protocol().name
-    options = (settings or {}).get(chosen)
-    transport: Transport = "udp" if isinstance(options, Mapping) and options.get("transport") == "udp" else "tcp"
+    keys = {**simulator.keys(chosen), **(settings or {})}
+    transport = _transport(registry, vendor, chosen, keys)
+    ports = [free_port() if transport == "tcp_server" else 0 for _ in range(count)]
     async with AsyncExitStack() as stack:
         controllers = await stack.enter_async_context(
-            serve(simulator, host=host, port=0, count=count, scenario=scenario, chaos=chaos, seed=seed, keep=keep),
+            serve(
+                simulator,
+                host=host,
+                port=0,
+                count=count,
+                options=simulated,
+                scenario=scenario,
+                chaos=chaos,
+                seed=seed,
+                keep=keep,
+                calls=lambda number: {chosen: ("127.0.0.1", ports[number])} if ports[number] else {},
+            ),
         )
         text = '[server]\nlisten = "127.0.0.1:0"\n'
         for number, controller in enumerate(controllers, start=1):
@@ -91,10 +108,21 @@ async def virtual_cell(
                 "vendor": vendor,
                 "protocol": chosen,
                 "host": controller.host,
+                **keys,
                 "port": controller.number_of(chosen, transport),
-                **simulator.demo,
-                **(settings or {}),
             }
             text += "\n[[robots]]\n" + "".join(f"{key} = {toml_value(value)}\n" for key, value in entry.items())
         gateway = await stack.enter_async_context(running(parse(text, "virtual cell", registry)))
         yield VirtualCell(gateway, controllers)
+
+
+def free_port() -> int:
+    """A port of this machine that nothing listens on."""
+    with socket.create_server(("127.0.0.1", 0)) as found:
+        return int(found.getsockname()[1])
+
+
+def _transport(registry: Registry, vendor: str, protocol: str, keys: Mapping[str, object]) -> Transport:
+    """What robots with some keys of the configuration are reached over."""
+    spoken = registry.vendor(vendor).protocol(protocol)
+    return spoken.transport(msgspec.convert(keys.get(protocol, {}), spoken.options))

@@ -83,7 +83,7 @@ async def test_a_controller_calls_and_is_asked() -> None:
         assert await asked(connection, b"ab", 6) == b"aaabbb"
         assert controller.robot.connections == 1
         assert (controller.ports, controller.calls) == ((), (("p", f"127.0.0.1:{server.port}"),))
-        assert controller.number_of("p", "tcp_server") == controller.port_of("p") == controller.port == server.port
+        assert controller.number_of("p", "tcp_server") == controller.port == server.port
         await connection.aclose()
         await server.aclose()
 

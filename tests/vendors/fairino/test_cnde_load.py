@@ -27,7 +27,7 @@ async def nothing_is_lost(seconds: float) -> None:
         first = controllers[0]
         for number in range(ROBOTS):
             transport = "udp" if number % 2 else "tcp"
-            settings = robot(first.port_of("cnde", transport), transport)  # type: ignore[arg-type] # a literal
+            settings = robot(first.number_of("cnde", transport), transport)  # type: ignore[arg-type] # a literal
             found.append(await stack.enter_async_context(reading(settings)))
         await eventually(lambda: all(one.state.state is LinkState.ONLINE for one in found))
         await anyio.sleep(seconds)

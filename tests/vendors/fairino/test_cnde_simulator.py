@@ -110,7 +110,7 @@ async def served_and_read(
 ) -> AsyncIterator[tuple[VirtualController, Reading]]:
     async with AsyncExitStack() as stack:
         controller = await stack.enter_async_context(served(behaviour, chaos))
-        settings = robot(controller.port_of("cnde", transport), transport)
+        settings = robot(controller.number_of("cnde", transport), transport)
         yield controller, await stack.enter_async_context(reading(settings))
 
 
@@ -162,7 +162,7 @@ def test_a_firmware_knows_the_states_that_its_frame_holds() -> None:
 
 @pytest.mark.parametrize("transport", ["tcp", "udp"])
 async def test_over_real_sockets_every_frame_that_is_sent_arrives(transport: Transport) -> None:
-    async with served() as controller, reading(robot(controller.port_of("cnde", transport), transport)) as found:
+    async with served() as controller, reading(robot(controller.number_of("cnde", transport), transport)) as found:
         link = await found.until(LinkState.ONLINE)
         assert link.notes == []
         assert link.layout is not None
@@ -199,7 +199,7 @@ async def test_a_narrowed_configuration_is_named_in_the_link(transport: Transpor
 
 async def test_a_closed_port_is_explained() -> None:
     async with served() as controller:
-        tcp, udp = controller.port_of("cnde"), controller.port_of("cnde", "udp")
+        tcp, udp = controller.number_of("cnde"), controller.number_of("cnde", "udp")
     for port, transport in ((tcp, "tcp"), (udp, "udp")):
         async with reading(robot(port, transport)) as found:  # type: ignore[arg-type] # a literal
             link = await found.lost()
@@ -218,7 +218,7 @@ async def test_chaos_is_lived_through(transport: Transport, chaos: str) -> None:
 
 
 async def test_the_robot_of_the_scenario_is_what_is_read() -> None:
-    async with served() as controller, reading(robot(controller.port_of("cnde"), "tcp")) as found:
+    async with served() as controller, reading(robot(controller.number_of("cnde"), "tcp")) as found:
         await found.until(LinkState.ONLINE)
         joints = msgspec.to_builtins(found.data("joints"))
         assert len(joints["position"]) == 6

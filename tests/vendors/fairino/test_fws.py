@@ -102,7 +102,7 @@ def meant(sent: Sent) -> dict[str, object]:
 
 async def test_fairino_fws_reads_what_the_virtual_controller_means() -> None:
     async with serve(SIMULATOR, host=HOST, port=0, scenario="steady", keep=200) as (controller,):
-        read = await telemetry(controller.port_of("status"), 8)
+        read = await telemetry(controller.number_of("status"), 8)
         sent = {sent.frame[2]: meant(sent) for sent in controller.robot.sent if len(sent.frame) == 433}
     assert len(read) == 8
     assert read[-1]["bad_checksum"] == 0
@@ -114,7 +114,7 @@ async def test_fairino_fws_reads_what_the_virtual_controller_means() -> None:
 async def test_fairino_fws_counts_our_wrong_checksums() -> None:
     served = serve(SIMULATOR, host=HOST, port=0, scenario="steady", chaos="checksum=0.4", seed=3)
     async with served as (controller,):
-        read = await telemetry(controller.port_of("status"), 8)
+        read = await telemetry(controller.number_of("status"), 8)
         assert 0 < int(str(read[-1]["bad_checksum"])) <= controller.robot.faults["checksum"]
 
 

@@ -240,4 +240,4 @@ def test_a_command_is_acknowledged_and_not_executed(data: bytes, answers: list[b
 
 def test_the_simulator_serves_both_ports_and_the_demo_knows_the_polarity() -> None:
     assert [(port.protocol, port.port) for port in SIMULATOR.ports] == [("reqdata", 5001), (None, 5000)]
-    assert SIMULATOR.demo == {"estop_polarity": "active_low"}
+    assert SIMULATOR.keys("reqdata") == {"estop_polarity": "active_low"}

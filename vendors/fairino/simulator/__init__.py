@@ -14,7 +14,7 @@ from msgspec import Meta
 
 from gateway.api.layout import Layout
 from gateway.sim.packing import Word
-from gateway.sim.simulator import Port, Simulator, VirtualRobot
+from gateway.sim.simulator import Demo, Port, Simulator, VirtualRobot
 from vendors.fairino.cnde_states import ALL_STATES
 from vendors.fairino.cnde_states import HEADER as CNDE_HEADER
 from vendors.fairino.layouts import CHECKSUM_SIZE, LEGACY_LAYOUTS, STATUS_357, STATUS_433
@@ -244,4 +244,10 @@ SIMULATOR = Simulator(
         Port(protocol=None, port=8080, session=SilentSession),
     ),
     options=FairinoOptions,
+    demos=(
+        Demo(protocol="cnde"),
+        Demo(protocol="cnde", robot={"cnde": {"transport": "udp"}}),
+        Demo(protocol="legacy"),
+        Demo(protocol="status"),
+    ),
 )

@@ -6,7 +6,7 @@ command and executes none: some clients insist on connecting to it.
 
 from __future__ import annotations
 
-from gateway.sim.simulator import Port, Simulator
+from gateway.sim.simulator import Demo, Port, Simulator
 from vendors.rainbow.simulator.encoding import FILLERS, HEADER, RainbowOptions
 from vendors.rainbow.simulator.sessions import CommandSession, StateSession
 
@@ -16,5 +16,5 @@ SIMULATOR = Simulator(
         Port(protocol=None, port=5000, session=CommandSession),
     ),
     options=RainbowOptions,
-    demo={"estop_polarity": "active_low"},
+    demos=(Demo(protocol="reqdata", robot={"estop_polarity": "active_low"}),),
 )
