@@ -27,6 +27,7 @@ lint: $(STAMP) ## Format, lint, types and import rules, without the tests
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	cd vendors/xcore/agent && $(CURDIR)/$(BIN)/mypy --config-file pyproject.toml
 	$(BIN)/lint-imports
 
 check: lint test ## What CI runs

@@ -83,7 +83,7 @@ async def running(config: Config, clock: Clock | None = None) -> AsyncIterator[G
         ListenError: The listener could not be opened.
     """
     clock = clock or SystemClock()
-    bus = Bus(EventRing(config.server.event_ring))
+    bus = Bus(EventRing(config.server.event_ring), config.server.command_ring)
     links = _links(config.robots, bus, clock)
     host, asked_port = config.server.address
     async with AsyncExitStack() as stack:

@@ -78,7 +78,7 @@ class LinkClosed(LinkError):
     """The connection could not be opened, or has ended.
 
     Attributes:
-        refused: The controller is there, but nothing listens on the port.
+        refused: The controller is there, but nothing listens on the port; or, where it calls, it has not called.
     """
 
     def __init__(self, reason: str, *, refused: bool = False) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-
 _DUE = 1.0 - 1e-9  # sums of shares are not exact
 
 
@@ -20,8 +19,9 @@ class Rota:
     """
 
     def __init__(self, wishes: Mapping[str, float], budget_hz: float) -> None:
-        shared_hz = max(budget_hz, sum(wishes.values()))
-        self._steps = {name: wish / shared_hz for name, wish in wishes.items() if wish > 0}
+        self._wishes = {name: wish for name, wish in wishes.items() if wish > 0}
+        self._budget_hz = budget_hz
+        self._steps = self._shares()
         # What comes first is what is wished most often; after that everybody's turn grows from where it stood.
         self._turns = {name: 1.0 + step for name, step in self._steps.items()}
 
@@ -43,6 +43,12 @@ class Rota:
         return name
 
     def drop(self, name: str) -> None:
-        """Ask a question no more."""
-        self._steps.pop(name, None)
+        """Ask a question no more; the others share what it leaves."""
+        self._wishes.pop(name, None)
         self._turns.pop(name, None)
+        self._steps = self._shares()
+
+    def _shares(self) -> dict[str, float]:
+        """How much of a turn comes due for each question with every turn."""
+        shared_hz = max(self._budget_hz, sum(self._wishes.values()))
+        return {name: wish / shared_hz for name, wish in self._wishes.items()}

@@ -1,4 +1,4 @@
-"""Lines of text in a stream that is cut anywhere: what text protocols stand on, as `FramedDecoder` does for binary ones."""
+"""Lines of text in a stream that is cut anywhere: what text protocols stand on, as binary ones on `FramedDecoder`."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Lines:
             self._too_long = False
             at, self._searched = end_at, 0
         rest = buffer[at:]
-        if len(rest) >= self._longest or (self._too_long and len(rest) > len(self._end)):
+        if len(rest) >= self._longest or (self._too_long and len(rest) >= len(self._end)):
             cut = len(rest) - len(self._end) + 1  # the last bytes may begin the end of the line
             found.append(self._piece(rest[:cut]))
             self._too_long = True

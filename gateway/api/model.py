@@ -442,7 +442,7 @@ class CommandFeedback(msgspec.Struct, frozen=True, kw_only=True):
 class CommandsMissed(msgspec.Struct, frozen=True, kw_only=True):
     """What the stream itself has lost, as its sender says: `to` of `command.missed`."""
 
-    count: Annotated[int, _is("How many messages.")]
+    count: Annotated[int, _is("How many messages, or command objects of a list that could not be read.")]
 
 
 Delivery = Literal["sample", "state", "event"]

@@ -6,6 +6,7 @@ Text protocols are slow, and their values are parsed already, so nothing is comp
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import cast
@@ -33,7 +34,7 @@ def record_group(
 ) -> Reader | None:
     """Make the reader of one canonical group.
 
-    The quality of a row counts only where its value tells something.
+    The quality of a row counts only where its value tells something. NaN and infinity are null, and make it BAD.
 
     Args:
         group: A key of `FRAME_GROUPS`.
@@ -60,10 +61,10 @@ def record_group(
     graded = [(row, make) for row, make in made if row.quality is not Quality.GOOD]
     doubts = [(make, _doubt(row, options)) for row, make in made if row.doubt is not None]
     watched = tuple(dict.fromkeys(source for row in rows if not row.volatile for source in row.sources))
+    sources = tuple(dict.fromkeys(source for row in rows for source in row.sources))
 
     def read(frame: Frame) -> tuple[object, Quality]:
-        values = frame.values
-        quality = Quality.GOOD
+        values, quality = _finite_values(frame.values, sources)
         substituted = []
         for row, make in graded:
             if make(values) is not None:
@@ -86,7 +87,7 @@ def record_vendor(record: Record) -> Reader:
     """Make the reader of the `vendor` group: every value under its manual name and in the manual's unit."""
     names = tuple(record.by_name)
     return Reader(
-        read=lambda frame: ({name: frame.values.get(name) for name in names}, Quality.GOOD),
+        read=lambda frame: _finite_values(frame.values, names),
         key=lambda frame: tuple(map(frame.values.get, names)),
         empty=dict.fromkeys(names),
     )
@@ -97,6 +98,27 @@ def record_words(record: Record, sources: Sequence[str]) -> ReadWords | None:
     if any(source not in record.by_name for source in sources):
         return None
     return lambda frame: tuple(map(frame.values.get, sources))
+
+
+def _finite_values(values: _Values, names: Sequence[str]) -> tuple[_Values, Quality]:
+    """Some values, with null for what is not finite, and BAD where there was such; structs are not looked into."""
+    told = {name: values.get(name) for name in names}
+    found = {name: _finite(value) for name, value in told.items()}
+    bad = any(found[name] is not value for name, value in told.items())
+    return found, Quality.BAD if bad else Quality.GOOD
+
+
+def _finite(value: object) -> object:
+    """The value itself where all of it is finite; else a copy with null in the place of what is not."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, list | tuple):
+        items = [_finite(one) for one in value]
+        return value if all(one is before for one, before in zip(items, value, strict=True)) else items
+    if isinstance(value, dict):
+        below = {key: _finite(one) for key, one in value.items()}
+        return value if all(one is value[key] for key, one in below.items()) else below
+    return value
 
 
 def _maker(row: Signal, record: Record, options: Mapping[str, object]) -> _Make:
@@ -181,6 +203,8 @@ def _builder(
             makers[path[0]] = make
     annotations = {field.name: field.type for field in msgspec.structs.fields(struct_type)}
     for name, inner_rows in below.items():
+        if name in makers:
+            raise ValueError(f"{name} stands twice: whole, and in parts")
         inner = struct_inside(annotations[name])
         makers[name] = _mapping(inner_rows) if inner is None else _inner(inner, inner_rows)
     return lambda values: {name: make(values) for name, make in makers.items()}
@@ -192,4 +216,11 @@ def _inner(struct_type: type[msgspec.Struct], rows: Sequence[tuple[tuple[str, ..
 
 
 def _mapping(rows: Sequence[tuple[tuple[str, ...], _Make]]) -> _Make:
-    return lambda values: {path[0]: make(values) for path, make in rows}
+    makers = {path[0]: make for path, make in rows}
+    deeper = [path for path, _ in rows if len(path) > 1]
+    if deeper:
+        raise ValueError(f"{'.'.join(deeper[0])}: {deeper[0][0]} needs a function (via) that makes the whole of it")
+    if len(makers) < len(rows):
+        names = [path[0] for path, _ in rows]
+        raise ValueError(f"{next(name for name in names if names.count(name) > 1)} stands twice")
+    return lambda values: {name: make(values) for name, make in makers.items()}

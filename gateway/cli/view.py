@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
+from typing import cast
 
 from rich import box
 from rich.console import Group, RenderableType
@@ -11,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from gateway.api.messages import RobotInfo
-from gateway.api.model import Event, LinkState, Sample
+from gateway.api.model import Event, EventKind, LinkState, Sample
 
 UNKNOWN = "–"  # noqa: RUF001 - a dash, as in print
 _GOOD = "green"
@@ -36,6 +37,7 @@ _LEAST_IMPORTANT = ("speaks", "program", "Hz", "motion", "power", "for")
 _GAP = 2
 _LARGE = 1e4
 _LONG_ARRAY = 6  # longer ones are shown with fewer digits, so that a line of seven joints has 80 columns
+_OF_COMMANDS = {EventKind.COMMAND_ISSUED, EventKind.COMMAND_EXECUTED, EventKind.COMMAND_MISSED}
 _LIVE = {"GOOD", "SUBSTITUTED", "UNCERTAIN", "BAD"}
 
 
@@ -169,6 +171,8 @@ def sample_lines(sample: Sample, units: Mapping[str, str]) -> Iterator[str]:
 
 def event_line(event: Event) -> str:
     """An event in one line."""
+    if event.kind in _OF_COMMANDS:
+        return f"{clock_time(event.t)}  {event.robot}  {event.kind}  {_of_command(event.after)}"
     change = "" if event.before is None and event.after is None else f"  {_short(event.before)} → {_short(event.after)}"
     return f"{clock_time(event.t)}  {event.robot}  {event.kind}{change}"
 
@@ -217,6 +221,30 @@ def _scalar(value: object) -> str:
     if isinstance(value, bool):
         return "1" if value else "0"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _of_command(told: object) -> str:
+    """What an event of the topic `commands` tells."""
+    if not isinstance(told, dict):
+        return UNKNOWN
+    if "count" in told:
+        return f"{told['count']} messages were lost before they reached the gateway"
+    if "object" in told:
+        values = " ".join(f"{key}={_plain(value)}" for key, value in _leaves(told["object"]) if value not in ("", None))
+        return f"{told['id']}  {told['index'] + 1} of {told['total']}  {told['type']}  {values}"
+    place = "" if told.get("index") is None else f"  {told['index'] + 1}"
+    reached = {True: "  reached", False: "  not reached"}.get(cast("bool", told.get("reached")), "")
+    rest = "".join(f"  {told[key]}" for key in ("error", "text", "custom") if told.get(key))
+    return f"{told['id']}{place}{reached}{rest}"
+
+
+def _plain(value: object) -> str:
+    """A value without spaces, its numbers as short as they are still exact enough to read."""
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, (list, tuple)):
+        return f"[{','.join(map(_plain, value))}]"
+    return str(value)
 
 
 def _short(value: object) -> str:

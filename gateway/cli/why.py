@@ -112,6 +112,9 @@ def _come(robot: RobotInfo) -> Iterator[str]:
         yield f"{link.reached_hz:g} Hz are reached; {asked}."
     elif link.requested_hz is not None:
         yield f"{link.requested_hz:g} Hz are asked for."
+    if link.parts_hz:
+        rates = ", ".join(f"{name} {rate:g}" for name, rate in link.parts_hz.items())
+        yield f"Each is answered so often, in Hz: {rates}."
     if link.layout:
         yield f"The frames are read by the layout: {link.layout}."
     if robot.reject_counts:

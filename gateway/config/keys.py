@@ -40,6 +40,9 @@ class Server(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     event_ring: Annotated[
         int, Meta(ge=1, le=10_000_000, description="How many events are kept for subscribers that come back.")
     ] = 10_000
+    command_ring: Annotated[
+        int, Meta(ge=1, le=10_000_000, description="The same for the command objects and feedbacks of each robot.")
+    ] = 20_000
 
     @property
     def address(self) -> tuple[str, int]:

@@ -15,7 +15,7 @@ import msgspec
 from gateway.api.decoder import Frame
 from gateway.api.model import GROUPS, Event, EventKind, Group, Quality, Sample, Status, worst
 from gateway.api.reader import Reader
-from gateway.core.events import EventRing
+from gateway.core.events import DEFAULT_COMMAND_RING, EventRing
 
 Origin = Literal["live", "sim", "replay"]
 
@@ -198,10 +198,12 @@ class Bus:
     """All topics of the gateway, and the rings of its events.
 
     Args:
-        events: The ring of every robot's edges; what else is an event has a ring of its own, as large as this.
+        events: The ring of every robot's edges.
+        command_ring: How many events each robot's own ring of command objects keeps.
     """
 
-    def __init__(self, events: EventRing) -> None:
+    def __init__(self, events: EventRing, command_ring: int = DEFAULT_COMMAND_RING) -> None:
+        self._command_ring = command_ring
         self.topics: dict[str, Topic] = {}
         self.events = events
 
@@ -241,4 +243,4 @@ class Bus:
     def _ring(self, group: Group) -> EventRing | None:
         if group.delivery != "event":
             return None
-        return self.events if group.name == "events" else EventRing(self.events.capacity)
+        return self.events if group.name == "events" else EventRing(self._command_ring)

@@ -2,12 +2,13 @@
 
 Only live frames are compared. What changed while the link was lost is an edge as soon as it is seen again. The first
 value ever seen is none, for nothing is known to have changed, but for what nobody may miss: a pressed emergency stop, a
-detected collision, a fault.
+detected collision, a fault. Where frames bring the state in parts, a null whose parts have not come yet says nothing.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 
 import msgspec
@@ -74,6 +75,9 @@ _RULES: dict[str, Rule] = {
     "safety.self_collision": _switched(EventKind.COLLISION_DETECTED, EventKind.COLLISION_CLEARED),
 }
 
+# The keys that are compared.
+EDGE_KEYS = (*_RULES, "status.faults")
+
 # Keys whose null is told as a change; of the others it says that nobody knows, and the last known value stays.
 _NULL_IS_NEWS = {"status.operating_mode", "status.power", "safety.state"}
 _AT_FIRST_SIGHT = {EventKind.ESTOP_PRESSED, EventKind.COLLISION_DETECTED}
@@ -84,17 +88,24 @@ class EdgeFinder:
 
     def __init__(self) -> None:
         self._known: dict[str, object] = {}
+        self._faults_unsure = False
         self._unsure: set[str] = set()  # keys that were null since their known value
         self._faults: dict[tuple[object, ...], Fault] = {}
 
-    def observe_safety(self, safety: Safety) -> list[Edge]:
-        """Compare the safety group with what was known."""
+    def observe_safety(self, safety: Safety, untold: AbstractSet[str] = frozenset()) -> list[Edge]:
+        """Compare the safety group with what was known.
+
+        Args:
+            safety: As normalised.
+            untold: Keys whose null says nothing: what they follow from has not all come in this session.
+        """
         return self._compare(
             {
                 "safety.state": safety.state,
                 "safety.collision": safety.collision,
                 "safety.self_collision": safety.self_collision,
             },
+            untold,
         )
 
     def stamped(self, status: Status) -> Status:
@@ -103,12 +114,15 @@ class EdgeFinder:
             return status
         return msgspec.structs.replace(status, faults=[self._faults.get(fault.key, fault) for fault in status.faults])
 
-    def observe_status(self, status: Status, t: int) -> tuple[Status, list[Edge]]:
+    def observe_status(
+        self, status: Status, t: int, untold: AbstractSet[str] = frozenset()
+    ) -> tuple[Status, list[Edge]]:
         """Compare the status group with what was known, and stamp its faults.
 
         Args:
             status: As normalised.
             t: Receive time, µs UTC.
+            untold: Keys whose null says nothing: what they follow from has not all come in this session.
 
         Returns:
             The status whose faults say `since` when they stand, and the edges.
@@ -122,12 +136,16 @@ class EdgeFinder:
                 "status.program.state": program.state,
                 "status.e_stopped": status.e_stopped,
             },
+            untold,
         )
         if status.faults is None:
+            # What stands then may be another fault of the same name.
+            self._faults_unsure = self._faults_unsure or "status.faults" not in untold
             return status, edges
+        unsure, self._faults_unsure = self._faults_unsure, False
         present: dict[tuple[object, ...], Fault] = {}
         for fault in status.faults:
-            known = self._faults.get(fault.key)
+            known = None if unsure else self._faults.get(fault.key)
             stamped = msgspec.structs.replace(fault, since=known.since if known else t)
             present[fault.key] = stamped
             if known is None:
@@ -140,10 +158,12 @@ class EdgeFinder:
         self._faults = present
         return msgspec.structs.replace(status, faults=list(present.values())), edges
 
-    def _compare(self, values: dict[str, object]) -> list[Edge]:
+    def _compare(self, values: dict[str, object], untold: AbstractSet[str]) -> list[Edge]:
         edges = []
         for key, after in values.items():
-            if after is None and key not in _NULL_IS_NEWS:
+            if after is None and key in untold:
+                continue
+            if after is None and not (key in _NULL_IS_NEWS and key in self._known):
                 self._unsure.add(key)
                 continue
             first = key not in self._known

@@ -10,6 +10,7 @@ from itertools import islice
 from gateway.api.model import Event, EventKind
 
 DEFAULT_RING = 10_000
+DEFAULT_COMMAND_RING = 20_000
 
 
 class EventRing:
@@ -22,7 +23,6 @@ class EventRing:
 
     def __init__(self, capacity: int = DEFAULT_RING, boot: str | None = None) -> None:
         self.boot = boot or secrets.token_hex(4)
-        self.capacity = capacity
         self._ring: deque[Event] = deque(maxlen=capacity)
         self.last_seq = 0
 

@@ -48,15 +48,22 @@ class Parts:
     def __init__(self, stale_s: float) -> None:
         self._stale_s = stale_s
         self._parts: dict[str, Part] = {}
+        self._told: set[str] = set()
 
     def clear(self) -> None:
         """A new session has begun: nothing is known."""
         self._parts.clear()
+        self._told.clear()
+
+    def have_come(self, names: Iterable[str]) -> bool:
+        """Whether all of some values were told in this session, be it that the controller could not tell."""
+        return self._told.issuperset(names)
 
     def take(self, frame: Frame, t: int, at_s: float) -> None:
         """Take what a frame tells."""
         for name, value in frame.values.items():
             self._parts[name] = Part(value, frame, t, at_s)
+        self._told.update(frame.values)
 
     def drop_stale(self, now_s: float) -> set[str]:
         """Forget the values that are too old; the names of those that told something."""

@@ -18,7 +18,7 @@ from gateway.api.record import Record
 from gateway.core.bus import Bus, FrameReading, FrameStream, Origin, Topic, ValueReading
 from gateway.core.clock import Timeline
 from gateway.core.controller_clock import ControllerClock
-from gateway.core.edges import Edge, EdgeFinder
+from gateway.core.edges import EDGE_KEYS, Edge, EdgeFinder
 from gateway.core.parts import Parts
 
 _LOG = structlog.get_logger()
@@ -27,13 +27,14 @@ _LOG = structlog.get_logger()
 class _State:
     """A state topic with what it last said."""
 
-    __slots__ = ("data", "key", "reader", "topic")
+    __slots__ = ("data", "key", "reader", "topic", "untold")
 
     def __init__(self, topic: Topic, reader: Reader) -> None:
         self.topic = topic
         self.reader = reader
         self.key: object = None
         self.data: object = None
+        self.untold: frozenset[str] = frozenset()
 
 
 class Publisher:
@@ -75,6 +76,7 @@ class Publisher:
         self._parts = Parts(stale_s)
         self._part_seqs: dict[str, int] = {}
         self._edges = EdgeFinder()
+        self._edge_sources = {key: normaliser.sources(key) for key in EDGE_KEYS}
         self._clock = clock
         self._last: FrameReading | None = None
         self._timeline: Timeline | None = None
@@ -128,7 +130,7 @@ class Publisher:
         for topic in self._samples:
             self._bus.publish(topic, reading)
         for state in self._states:
-            self._look_at(state, reading)
+            self._look_at(state, reading, reading.t)
 
     def occurred(self, entries: Sequence[Entry], monotonic_s: float) -> None:
         """Publish what has happened, as a frame that was received at a monotonic time in s tells it."""
@@ -191,13 +193,20 @@ class Publisher:
         ]
         return self._stream
 
-    def _look_at(self, state: _State, reading: FrameReading) -> None:
-        """Publish a state topic if what it follows from has changed."""
+    def _look_at(self, state: _State, reading: FrameReading, t: int, untold: frozenset[str] = frozenset()) -> None:
+        """Publish a state topic if what it follows from has changed.
+
+        Args:
+            state: The topic.
+            reading: What it says now.
+            t: When the frame that shows it was received: the reading's own time may be that of an older part.
+            untold: Keys whose null says nothing yet.
+        """
         state.topic.latest = reading  # whoever asks gets the newest; listeners are told of changes only
         key = state.reader.key(reading.frame)
-        if key != state.key:
-            state.key = key
-            self._publish_state(state, reading)
+        if key != state.key or untold != state.untold:
+            state.key, state.untold = key, untold
+            self._publish_state(state, reading, t)
 
     def _take_parts(self, stream: FrameStream, frame: Frame, monotonic_s: float) -> None:
         """Publish the groups that a frame tells something of."""
@@ -219,37 +228,44 @@ class Publisher:
             reading = FrameReading(stream, view.frame, seq, oldest.t if oldest else t, oldest.frame if oldest else None)
             self._last = reading
             if group in states:
-                self._look_at(states[group], reading)
+                self._look_at(states[group], reading, t, self._untold(group))
             else:
                 self._bus.publish(topic, reading)
 
-    def _publish_state(self, state: _State, reading: FrameReading) -> None:
+    def _untold(self, group: str) -> frozenset[str]:
+        """The keys of a group that follow from parts of which some have not come in this session."""
+        return frozenset(
+            key
+            for key, sources in self._edge_sources.items()
+            if key.startswith(f"{group}.") and not self._parts.have_come(sources)
+        )
+
+    def _publish_state(self, state: _State, reading: FrameReading, t: int) -> None:
         """Publish a state topic if its canonical values changed, and the edges that show in them."""
         topic = state.topic
         sample = reading.sample(topic)
         edges: list[Edge] = []
         if topic.group.name == "status":
-            status, edges = self._edges.observe_status(cast("Status", sample.data), reading.t)
+            status, edges = self._edges.observe_status(cast("Status", sample.data), t, state.untold)
             sample = msgspec.structs.replace(sample, data=status)
             reading.replace(sample, topic.group.name)
         elif topic.group.name == "safety":
-            edges = self._edges.observe_safety(cast("Safety", sample.data))
+            edges = self._edges.observe_safety(cast("Safety", sample.data), state.untold)
         settled = sample.data
         for path in state.reader.volatile:
             settled = _without(settled, path)
-        if (settled, sample.q) == state.data:
-            return
-        state.data = (settled, sample.q)
-        self._bus.publish(topic, reading)
+        if (settled, sample.q) != state.data:
+            state.data = (settled, sample.q)
+            self._bus.publish(topic, reading)
         for edge in edges:
-            self._raise(edge, reading)
+            self._raise(edge, reading, t)
 
-    def _raise(self, edge: Edge, reading: FrameReading) -> None:
+    def _raise(self, edge: Edge, reading: FrameReading, t: int) -> None:
         frame = reading.frame
         raw = raw_values(frame, self._normaliser.sources(edge.key))
         if edge.key == "status.faults":
             raw = _of_fault(raw, edge.before if edge.after is None else edge.after)
-        self._bus.raise_event(self._events, reading.t, edge.kind, edge.before, edge.after, raw)
+        self._bus.raise_event(self._events, t, edge.kind, edge.before, edge.after, raw)
 
     def _count_bad(self) -> None:
         self.bad_values += 1

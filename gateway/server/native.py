@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import cast
 
 import anyio
+import anyio.lowlevel
 import msgspec
 import structlog
 from aiohttp import WSCloseCode, WSMessage, WSMsgType, web
@@ -173,6 +174,8 @@ class Client:
                 if not await self._send(message):
                     await self.close(WSCloseCode.TRY_AGAIN_LATER, "too slow: nothing was read")
                     return
+            if self._outbox.has_more:
+                await anyio.lowlevel.checkpoint()  # the other clients have their turn
             self._n_unread -= sum(map(len, answers))
             self._taken.set()
             if self._outbox.overflowed:

@@ -22,7 +22,9 @@ from gateway.server.inbox import Every, Inbox, Newest, Rated
 from gateway.server.wire import Cut, Encoding, encode_events, encode_response
 
 QUEUED_SAMPLES = 10_000
-QUEUED_EVENTS = 10_000
+QUEUED_EVENTS = 20_000
+# So many events go into one message: encoding a long queue must not hold up the other clients.
+EVENTS_A_MESSAGE = 500
 # A client is told what it missed at most once in so many seconds.
 MISSED_PERIOD_S = 1.0
 
@@ -172,6 +174,11 @@ class Outbox:
             self._events_gone += missed + over
         self.wake_by(-math.inf)
 
+    @property
+    def has_more(self) -> bool:
+        """Whether events are left that did not fit into the last message."""
+        return bool(self._events)
+
     def wake_by(self, at_s: float) -> None:
         """Make `wait` return by a monotonic time."""
         if at_s < self.due_s:
@@ -190,8 +197,8 @@ class Outbox:
         now_s = self.now()
         messages = []
         if self._events:
-            messages.append(encode_events(self.encoding, self._events))
-            self._events.clear()
+            next_ones = [self._events.popleft() for _ in range(min(EVENTS_A_MESSAGE, len(self._events)))]
+            messages.append(encode_events(self.encoding, next_ones))
         due = [subscription for subscription in self.subscriptions.values() if subscription.due_s <= now_s]
         parts = [part for subscription in due for part in subscription.take(now_s)]
         if parts:
@@ -199,6 +206,8 @@ class Outbox:
         if self._events_gone != 0 or (self.missed and now_s >= self._missed_said_s + MISSED_PERIOD_S):
             messages.append(self._say_missed(now_s))
         self.due_s = min((one.due_s for one in self.subscriptions.values()), default=math.inf)
+        if self._events:
+            self.due_s = -math.inf
         if self.missed:
             self.due_s = min(self.due_s, self._missed_said_s + MISSED_PERIOD_S)
         return messages

@@ -157,6 +157,8 @@ class Requests:
             boots = {parse_name(name)[0]: name for name in names}
         except ValueError as error:
             raise BadRequest("BAD_REQUEST", str(error)) from None
+        if len(boots) < len(names):
+            raise BadRequest("BAD_REQUEST", "since names a ring more than once: give the last event of each ring")
         all_known = boots.keys() <= {ring.boot for ring in _rings(self._cell.bus.topics.values())}
         found: list[list[Event]] = []
         gone: int | None = 0

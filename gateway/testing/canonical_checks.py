@@ -14,9 +14,9 @@ from gateway.api.layout import TYPES, Layout
 from gateway.api.model import FRAME_GROUPS, GROUPS
 from gateway.api.normaliser import Normaliser
 from gateway.api.signals import Signal, find_source
-from gateway.testing.readings import Plain, leaves, plain, read_group, tells, value_at
+from gateway.testing.readings import Plain, Reading, leaves, plain, read_group, tells, value_at
 from gateway.testing.streams import BITS, damaged
-from gateway.testing.subject import CheckFailed, DoesNotApply, Subject
+from gateway.testing.subject import CheckFailed, DoesNotApply, Subject, layout_of
 from gateway.testing.vector_checks import the_frame
 from gateway.testing.vectors import Vector
 
@@ -50,12 +50,13 @@ def nothing_is_told_that_is_not_finite(subject: Subject) -> None:
         raise DoesNotApply("no table has a floating-point field")
     for vector, frame, normaliser in _frames(subject):
         clean = {group: read_group(normaliser, group, frame).data for group in (*_canonical(normaliser), "vendor")}
-        for field in frame.layout.fields:
-            rows = [row for row in normaliser.signals if _uses(row, frame.layout, field.name)]
+        layout = layout_of(frame)
+        for field in layout.fields:
+            rows = [row for row in normaliser.signals if _uses(row, layout, field.name)]
             for index in range(field.present if field.is_float else 0):
                 at = frame.start + field.offset + index * field.item_size
                 for value in (math.nan, math.inf, -math.inf) if index == 0 else (math.nan,):
-                    code = frame.layout.byteorder + TYPES[field.type][0]
+                    code = layout.byteorder + TYPES[field.type][0]
                     raw = bytearray(frame.raw)
                     struct.pack_into(code, raw, at, value)
                     hurt = Frame(bytes(raw), frame.layout, frame.start, frame.quality)
@@ -68,8 +69,8 @@ def cut_off_is_null(subject: Subject) -> None:
     if all(field.present == field.elements for layout in subject.protocol.layouts for field in layout.fields):
         raise DoesNotApply("every table is whole: there are no shorter frames")
     for vector, frame, normaliser in _frames(subject):
-        vendor = read_group(normaliser, "vendor", frame).data
-        for field in frame.layout.fields:
+        layout, vendor = layout_of(frame), read_group(normaliser, "vendor", frame).data
+        for field in layout.fields:
             shown = vendor[field.name]
             words = shown if isinstance(shown, list) else [shown]
             if any(word is not None for word in words[field.present :]):
@@ -78,7 +79,7 @@ def cut_off_is_null(subject: Subject) -> None:
             data = read_group(normaliser, group, frame).data
             for row in subject.protocol.signals:
                 if row.group == group:
-                    _check_cut(row, frame.layout, value_at(data, row.path), f"{vector}: {row.key}")
+                    _check_cut(row, layout, value_at(data, row.path), f"{vector}: {row.key}")
 
 
 def keys_follow_values(subject: Subject) -> None:
@@ -93,13 +94,13 @@ def keys_follow_values(subject: Subject) -> None:
             if GROUPS[group].delivery != "state":
                 continue
             reader = normaliser.readers(frame.layout)[group]
-            before, data = reader.key(frame.raw, frame.start), _steady(normaliser, group, frame)
-            watched = _watched(subject, group, frame.layout)
-            for at in range(frame.layout.size):
+            before, data = reader.key(frame), _steady(normaliser, group, frame)
+            watched = _watched(subject, group, layout_of(frame))
+            for at in range(layout_of(frame).size):
                 for damage in (0xFF,) if watched[at] in {0, 0xFF} else BITS:
                     hurt = Frame(damaged(frame.raw, frame.start + at, damage), frame.layout, frame.start, frame.quality)
                     follows = bool(damage & watched[at])
-                    same = reader.key(hurt.raw, hurt.start) == before
+                    same = reader.key(hurt) == before
                     if same == follows:
                         verb = "does not change" if same else "changes"
                         raise CheckFailed(
@@ -118,9 +119,18 @@ def canonical_fits(normaliser: Normaliser, frame: Frame, where: str) -> None:
         CheckFailed: A key, type, shape or enumeration is not the model's.
     """
     for group in _canonical(normaliser):
-        reading = read_group(normaliser, group, frame)
-        _check_fits(group, reading.struct, f"{where}: {group}")
-        _check_shapes(group, reading.data, f"{where}: {group}")
+        _check_shapes(group, group_fits(normaliser, group, frame, where).data, f"{where}: {group}")
+
+
+def group_fits(normaliser: Normaliser, group: str, frame: Frame, where: str) -> Reading:
+    """Check the keys, types and enumerations of one canonical group of one frame against the model.
+
+    Raises:
+        CheckFailed: One is not the model's.
+    """
+    reading = read_group(normaliser, group, frame)
+    _check_fits(group, reading.struct, f"{where}: {group}")
+    return reading
 
 
 def _frames(subject: Subject) -> Iterator[tuple[Vector, Frame, Normaliser]]:

@@ -9,7 +9,7 @@ at; it may be a coroutine. One is left out only by the plugin itself, with `Vend
 from __future__ import annotations
 
 import inspect
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
@@ -19,16 +19,27 @@ from gateway.testing import (
     canonical_checks,
     damage_checks,
     end_to_end_checks,
+    line_checks,
     polling_checks,
     simulator_checks,
     speed_checks,
     stream_checks,
     table_checks,
+    value_checks,
     vector_checks,
 )
-from gateway.testing.subject import CheckFailed, DoesNotApply, Subject
+from gateway.testing.subject import NOT_BINARY, NOT_TEXT, PUSHED, CheckFailed, DoesNotApply, Subject
 
 Result = Literal["passed", "does not apply", "exempt", "failed"]
+
+
+Shape = Literal["bytes", "text", "polled"]
+# What a protocol of each shape is, and why a check of that shape has nothing to look at in another.
+SHAPES: Mapping[Shape, tuple[Callable[[Subject], bool], str]] = {
+    "bytes": (lambda subject: subject.protocol.framing is not None, NOT_BINARY),
+    "text": (lambda subject: bool(subject.protocol.records), NOT_TEXT),
+    "polled": (lambda subject: subject.polls, PUSHED),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,10 +48,12 @@ class Check:
 
     Args:
         run: The check; its name and its docstring are what people read.
+        of: What a protocol must be for it to have something to look at; nothing: any protocol.
         limit_s: How long it may take in a test.
     """
 
     run: Callable[[Subject], Awaitable[None] | None]
+    of: tuple[Shape, ...] = ()
     limit_s: float = 20.0
 
     @property
@@ -71,31 +84,42 @@ class Outcome:
 CHECKS: tuple[Check, ...] = (
     Check(table_checks.record_is_valid),
     Check(table_checks.folder_is_documented),
-    Check(table_checks.tables_hold),
-    Check(table_checks.framing_holds),
+    Check(table_checks.tables_hold, of=("bytes",)),
+    Check(table_checks.framing_holds, of=("bytes",)),
+    Check(table_checks.records_hold, of=("text",)),
     Check(table_checks.signals_compile),
     Check(vector_checks.vectors_cover_everything),
     Check(vector_checks.vectors_decode),
     Check(vector_checks.vendor_group_is_whole),
-    Check(vector_checks.encoding_agrees),
-    Check(vector_checks.bulk_reading_agrees),
+    Check(vector_checks.encoding_agrees, of=("bytes",)),
+    Check(vector_checks.bulk_reading_agrees, of=("bytes",)),
     Check(stream_checks.cuts_change_nothing),
-    Check(stream_checks.junk_is_rejected),
-    Check(stream_checks.garbage_gives_nothing),
-    Check(stream_checks.cut_frames_are_truncated),
-    Check(damage_checks.damaged_values_move_nothing, limit_s=60.0),
-    Check(damage_checks.damaged_values_stay_alone, limit_s=60.0),
-    Check(damage_checks.damaged_headers_cost_little, limit_s=60.0),
-    Check(damage_checks.damage_never_passes, limit_s=60.0),
+    Check(stream_checks.junk_is_rejected, of=("bytes",)),
+    Check(stream_checks.garbage_gives_nothing, of=("bytes",)),
+    Check(stream_checks.cut_frames_are_truncated, of=("bytes",)),
+    Check(damage_checks.damaged_values_move_nothing, of=("bytes",), limit_s=60.0),
+    Check(damage_checks.damaged_values_stay_alone, of=("bytes",), limit_s=60.0),
+    Check(damage_checks.damaged_headers_cost_little, of=("bytes",), limit_s=60.0),
+    Check(damage_checks.damage_never_passes, of=("bytes",), limit_s=60.0),
+    Check(line_checks.damaged_lines_stay_alone, of=("text",), limit_s=60.0),
+    Check(line_checks.cut_lines_tell_nothing, of=("text",), limit_s=60.0),
+    Check(line_checks.long_lines_cost_themselves, of=("text",), limit_s=60.0),
+    Check(line_checks.junk_lines_tell_nothing, of=("text",)),
+    Check(value_checks.values_have_their_types, of=("text",)),
+    Check(value_checks.numbers_stay_finite, of=("text",), limit_s=60.0),
+    Check(value_checks.json_is_taken_with_care, of=("text",), limit_s=60.0),
     Check(canonical_checks.canonical_groups_fit_the_model),
-    Check(canonical_checks.nothing_is_told_that_is_not_finite, limit_s=60.0),
-    Check(canonical_checks.cut_off_is_null),
-    Check(canonical_checks.keys_follow_values, limit_s=60.0),
+    Check(canonical_checks.nothing_is_told_that_is_not_finite, of=("bytes",), limit_s=60.0),
+    Check(canonical_checks.cut_off_is_null, of=("bytes",)),
+    Check(canonical_checks.keys_follow_values, of=("bytes",), limit_s=60.0),
+    Check(value_checks.what_is_not_told_is_null, of=("text",)),
+    Check(value_checks.named_values_move_keys, of=("text",)),
     Check(polling_checks.only_allowed_bytes_are_sent),
     Check(polling_checks.one_request_is_outstanding),
-    Check(polling_checks.skipped_frames_answer_nothing),
-    Check(polling_checks.unrequested_frames_end_the_session),
-    Check(polling_checks.requests_never_outrun_answers),
+    Check(polling_checks.skipped_frames_answer_nothing, of=("polled",)),
+    Check(polling_checks.unrequested_frames_end_the_session, of=("polled", "bytes")),
+    Check(polling_checks.late_answers_answer_nothing, of=("polled", "text")),
+    Check(polling_checks.requests_never_outrun_answers, of=("polled",)),
     Check(simulator_checks.simulator_answers),
     Check(end_to_end_checks.data_arrives_and_returns),
     Check(speed_checks.decoding_is_fast),
@@ -123,6 +147,10 @@ async def perform(check: Check, subject: Subject) -> Outcome:
         )
     if check.name in subject.vendor.exempt:
         return Outcome(subject, check, "exempt", subject.vendor.exempt[check.name])
+    for shape in check.of:
+        fits, why_not = SHAPES[shape]
+        if not fits(subject):
+            return Outcome(subject, check, "does not apply", why_not)
     try:
         waiting = check.run(subject)
         if inspect.isawaitable(waiting):

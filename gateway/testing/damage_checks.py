@@ -16,7 +16,7 @@ from gateway.api.decoder import Frame
 from gateway.api.layout import Field, Layout
 from gateway.testing.readings import Plain, read_group
 from gateway.testing.streams import BITS, DAMAGES, Placed, check_conserved, damaged, feed_all, placed, structure
-from gateway.testing.subject import CheckFailed, DoesNotApply, Subject
+from gateway.testing.subject import CheckFailed, DoesNotApply, Subject, layout_of
 from gateway.testing.vector_checks import the_frame
 from gateway.testing.vectors import Vector
 
@@ -28,11 +28,11 @@ def damaged_values_move_nothing(subject: Subject) -> None:
 
     Each byte in four ways, inside a stream and at its beginning: nothing but the boundaries can show it.
     """
-    if subject.protocol.framing.checksum is not None:
+    if subject.framing.checksum is not None:
         raise DoesNotApply("the frames have a checksum: damage_never_passes looks at them")
     for vector, good in _different(subject):
-        values = sorted(set(range(len(vector.raw))) - structure(subject.protocol.framing, vector.raw))
-        before = good.raw if len(good.raw) == len(vector.raw) or not subject.protocol.framing.one_length else b""
+        values = sorted(set(range(len(vector.raw))) - structure(subject.framing, vector.raw))
+        before = good.raw if len(good.raw) == len(vector.raw) or not subject.framing.one_length else b""
         for at, damage in _every(values):
             hurt = damaged(vector.raw, at, damage)
             for parts in ([before, hurt, good.raw, good.raw], [hurt, good.raw, good.raw]):
@@ -54,14 +54,15 @@ def damaged_values_stay_alone(subject: Subject) -> None:
         frame = the_frame(subject, vector)
         if frame is None:
             continue
-        flagged = _flagged(frame.layout)
+        layout = layout_of(frame)
+        flagged = _flagged(layout)
         normaliser = subject.normaliser(vector.options)
         before = read_group(normaliser, "vendor", frame).data
-        for at in range(frame.layout.size):
+        for at in range(layout.size):
             for damage in (0xFF, *BITS) if at in flagged else (0xFF,):
                 hurt = damaged(frame.raw, frame.start + at, damage)
                 after = read_group(normaliser, "vendor", Frame(hurt, frame.layout, frame.start)).data
-                _check_alone(str(vector), frame.layout, (at, damage), before, after)
+                _check_alone(str(vector), layout, (at, damage), before, after)
 
 
 def damaged_headers_cost_little(subject: Subject) -> None:
@@ -69,7 +70,7 @@ def damaged_headers_cost_little(subject: Subject) -> None:
 
     In the header every other value of each byte; behind the payload, where a value can only be right or wrong, four.
     """
-    framing = subject.protocol.framing
+    framing = subject.framing
     for vector, good in _different(subject):
         for at in sorted(structure(framing, vector.raw)):
             if at < framing.header:
@@ -87,7 +88,7 @@ def damage_never_passes(subject: Subject) -> None:
     Each byte in one of four ways in turn: a checksum that covers a byte shows any change of it, and whether a frame is
     delivered is told by its bytes alone.
     """
-    framing = subject.protocol.framing
+    framing = subject.framing
     if framing.checksum is None:
         raise DoesNotApply("the frames have no checksum: damaged_values_move_nothing looks at them")
     for vector, good in _different(subject):
@@ -104,7 +105,7 @@ def damage_never_passes(subject: Subject) -> None:
 
 
 def _check_header(subject: Subject, vector: Vector, hurt: bytes, good: Vector, at: int) -> None:
-    largest = subject.protocol.framing.largest
+    largest = subject.framing.largest
     count = largest // len(good.raw) + 3
     before = good.raw if len(good.raw) == len(vector.raw) or vector.layout is None else b""
     for lead in {before, b""}:
@@ -121,7 +122,7 @@ def _check_header(subject: Subject, vector: Vector, hurt: bytes, good: Vector, a
             (start + len(hurt) + n * len(good.raw), start + len(hurt) + (n + 1) * len(good.raw)) for n in range(count)
         ]
         _check_inside(found, spans, where)
-        in_magic = at < len(subject.protocol.framing.magic)
+        in_magic = at < len(subject.framing.magic)
         if in_magic and any(place.start == start for place in found):
             raise CheckFailed(f"{where} is still taken for a frame: check the magic")
         missing = _missed(found, spans, start + largest)
@@ -139,7 +140,7 @@ def _check_inside(found: Iterable[Placed], spans: Sequence[tuple[int, int]], whe
         if not isinstance(frame, Frame):
             continue
         first = place.start + frame.start
-        if not any(start == place.start and first + frame.layout.size <= end for start, end in spans):
+        if not any(start == place.start and first + layout_of(frame).size <= end for start, end in spans):
             raise CheckFailed(
                 f"{where}: {frame} at byte {place.start} mixes two frames: refuse a length that the session did not "
                 "begin with (one_length), or one that reaches over a header",

@@ -9,14 +9,15 @@ from typing import cast
 import msgspec
 from msgspec import inspect
 
-from gateway.api.decoder import Decoder, Event, Frame, Refused, Reject
+from gateway.api.decoder import Decoder, Event, Frame, Occurrence, Refused, Reject, Skipped
 from gateway.api.model import Quality
+from gateway.testing.playing import shown
 from gateway.testing.streams import frames
-from gateway.testing.subject import CheckFailed, DoesNotApply, Subject
+from gateway.testing.subject import PUSHED, CheckFailed, DoesNotApply, Subject
+from gateway.testing.vectors import Vector
 
 _PATIENCE = 200  # ticks: more than any grace that a decoder may grant
 _WALK = 3_000  # random steps of a session
-_PUSHED = "the controller pushes its frames and answers no requests"
 
 
 def only_allowed_bytes_are_sent(subject: Subject) -> None:
@@ -24,35 +25,46 @@ def only_allowed_bytes_are_sent(subject: Subject) -> None:
     for options in option_variants(subject.protocol.options):
         decoder = subject.protocol.decoder(options)
         _check_sent(subject, decoder.outgoing(), "first bytes")
+        asked: bytes | Refused = b""
         for number in range(_PATIENCE):
             vector = subject.vectors[number % len(subject.vectors)]
-            decoder.feed(vector.raw[: len(vector.raw) // 2] if number % 7 == 0 else vector.raw)
+            known = _answers(subject).get(asked) if isinstance(asked, bytes) and number % 3 else None
+            decoder.feed(known or (vector.raw[: len(vector.raw) // 2] if number % 7 == 0 else vector.raw))
             _check_sent(subject, decoder.outgoing(), "bytes owed")
             asked = decoder.tick()
             if not isinstance(asked, Refused):
                 _check_sent(subject, asked, "request")
+            elif subject.protocol.records:
+                decoder = subject.protocol.decoder(options)
         _check_sent(subject, decoder.goodbye(), "bytes before the close")
 
 
 def one_request_is_outstanding(subject: Subject) -> None:
     """A polled decoder sends the next request only after the answer to the last; a pushed one never asks."""
-    decoder, answer = _session(subject), subject.sessions[0][0].raw
-    if subject.protocol.request is None:
+    decoder = _session(subject)
+    if not subject.polls:
         if subject.protocol.outgoing:
-            raise DoesNotApply(f"{_PUSHED}, and what it sends is a handshake: only_allowed_bytes_are_sent looks at it")
+            raise DoesNotApply(f"{PUSHED}, and what it sends is a handshake: only_allowed_bytes_are_sent looks at it")
         if any(decoder.tick() for _ in range(_PATIENCE)):
             raise CheckFailed("a protocol that pushes asks for frames: state its request, or send nothing")
         return
-    _expect_request(decoder, "first")
-    events: list[Event] = []
-    for number in range(len(answer)):
-        _expect_silence(decoder, f"{number} bytes of the answer have come")
-        events = decoder.feed(answer[number : number + 1])
-    if not frames(events):
-        raise CheckFailed(
-            "the whole answer, byte by byte, gives no frame: wait for the length that the header promises"
-        )
-    _expect_request(decoder, "next")
+    request = _expect_request(subject, decoder, "first")
+    for _ in range(max(1, len(_answers(subject)))):
+        answer = _answer(subject, request)
+        events: list[Event] = []
+        # Each tick is time that passes: a text protocol may give up an answer that takes too long.
+        looks = {0, len(answer) // 2, len(answer) - 1} if subject.protocol.records else range(len(answer))
+        for number in range(len(answer)):
+            if number in looks:
+                _expect_silence(decoder, f"{number} bytes of the answer have come")
+            events = decoder.feed(answer[number : number + 1])
+        if not _answered(subject, events):
+            raise CheckFailed(
+                f"the whole answer to {request!r}, byte by byte, gives no frame: wait for its end, or for the length "
+                "that the header promises"
+            )
+        request = _expect_request(subject, decoder, "next")
+    answer = _answer(subject, request)
     damaged = decoder.feed(b"\0" * len(answer))
     if frames(damaged):
         raise CheckFailed("zeros are taken for the answer: check the header")
@@ -61,13 +73,12 @@ def one_request_is_outstanding(subject: Subject) -> None:
 
 def skipped_frames_answer_nothing(subject: Subject) -> None:
     """A known frame without state answers no request and changes no frame."""
-    _needs_requests(subject)
-    if not subject.skipped:
+    skipped = _unasked(subject)
+    if not skipped:
         raise DoesNotApply("every frame of the protocol carries state")
-    answer = subject.sessions[0][0].raw
-    for vector in subject.skipped:
+    for vector in skipped:
         decoder = _session(subject)
-        _expect_request(decoder, "first")
+        answer = _answer(subject, _expect_request(subject, decoder, "first"))
         if frames(decoder.feed(vector.raw)):
             raise CheckFailed(f"{vector} gives a frame: it carries no state")
         _expect_silence(decoder, f"{vector} has come, which carries no state")
@@ -77,12 +88,11 @@ def skipped_frames_answer_nothing(subject: Subject) -> None:
 
 def unrequested_frames_end_the_session(subject: Subject) -> None:
     """A frame that nobody asked for, a second answer, or bytes that stay unexplained mean: out of step."""
-    _needs_requests(subject)
     for session in subject.sessions:
         answer = session[0].raw
         _expect_refusal(_session(subject).feed(answer), 0, "a frame that nobody asked for")
         decoder = _session(subject)
-        _expect_request(decoder, "first")
+        _expect_request(subject, decoder, "first")
         _expect_refusal(decoder.feed(answer + answer), 1, "a second answer behind the first")
         for size in (1, len(answer) // 2, len(answer) - 1):
             decoder = _session(subject)
@@ -95,28 +105,46 @@ def unrequested_frames_end_the_session(subject: Subject) -> None:
                 raise CheckFailed(f"{size} bytes that nobody asked for stay unexplained for ever: refuse, out_of_step")
 
 
+def late_answers_answer_nothing(subject: Subject) -> None:
+    """An answer that nobody asked for, or that comes twice, ends the session or is left out: it answers no question."""
+    for late in subject.vectors:
+        for size in {1, len(late.raw) // 2, len(late.raw) - 1, len(late.raw)} - {0}:
+            stray = late.raw[:size]
+            where = f"{size} bytes of {late}, which nobody asked for,"
+            decoder = _session(subject)
+            _follow(subject, decoder, decoder.feed(stray), b"", where)
+            decoder = _session(subject)
+            answer = _answer(subject, _expect_request(subject, decoder, "first"))
+            _follow(subject, decoder, decoder.feed(answer + stray), answer, f"{where} behind an answer")
+
+
 def requests_never_outrun_answers(subject: Subject) -> None:
     """In a long random session, cut anyhow and with junk, requests never outnumber answers by more than one."""
-    _needs_requests(subject)
     chance = subject.random()
-    waiting = b""
+    waiting = last = b""
+    skipped = _unasked(subject)
     decoder, asked, answered = _session(subject), 0, 0
     for step in range(_WALK):
         what = chance.randrange(8)
         if what <= 1 and asked == answered + 1 and not waiting:
-            waiting = chance.choice(subject.sessions[0]).raw
-        elif what == 2 and subject.skipped and not waiting:  # noqa: PLR2004 - one of eight things that happen
-            waiting = chance.choice(subject.skipped).raw
+            waiting = _answer(subject, last) if subject.protocol.records else chance.choice(subject.sessions[0]).raw
+        elif what == 2 and skipped and not waiting:  # noqa: PLR2004 - one of eight things that happen
+            waiting = chance.choice(skipped).raw
         elif what <= 4:  # noqa: PLR2004 - the same
             size = chance.randint(1, 400)
-            answered += len(frames(decoder.feed(waiting[:size])))
+            events = decoder.feed(waiting[:size])
+            answered += _answered(subject, events)
             waiting = waiting[size:]
+            if any(isinstance(event, Refused) for event in events):
+                raise CheckFailed(
+                    f"at step {step} good answers give {shown(events)}: refuse only what nobody asked for"
+                )
         else:
             request = decoder.tick()
             if isinstance(request, Refused):
                 decoder, asked, answered, waiting = _session(subject), 0, 0, b""
             elif request:
-                asked += 1
+                asked, last = asked + 1, request
         if asked > answered + 1:
             raise CheckFailed(f"at step {step} {asked} requests are sent for {answered} answers: wait for each answer")
 
@@ -144,9 +172,32 @@ def _values(type_: inspect.Type) -> list[object]:
     return [False, True] if isinstance(type_, inspect.BoolType) else []
 
 
-def _needs_requests(subject: Subject) -> None:
-    if subject.protocol.request is None:
-        raise DoesNotApply(_PUSHED)
+def _answers(subject: Subject) -> dict[bytes, bytes]:
+    """Good answers by what was asked, where vectors say it: those that tell something first."""
+    ranked = sorted(subject.vectors, key=lambda vector: vector.layout is None)
+    return {vector.asked: vector.raw for vector in reversed(ranked) if vector.asked is not None}
+
+
+def _answer(subject: Subject, request: bytes) -> bytes:
+    """A good answer to a request."""
+    if subject.protocol.framing is not None:
+        return subject.sessions[0][0].raw
+    answers = _answers(subject)
+    if answers and request not in answers:
+        raise CheckFailed(f"no vector says what {request!r} is answered with: add one with `asked` and a value")
+    return answers[request] if answers else subject.states[0].raw
+
+
+def _answered(subject: Subject, events: list[Event]) -> int:
+    """How many answers have come; of text, those that tell nothing too."""
+    if subject.protocol.framing is not None:
+        return len(frames(events))
+    return sum(isinstance(event, (Frame, Occurrence, Skipped)) for event in events)
+
+
+def _unasked(subject: Subject) -> list[Vector]:
+    """The skipped vectors that answer nothing and may come at any time."""
+    return [vector for vector in subject.skipped if vector.asked is None and not vector.before]
 
 
 def _session(subject: Subject) -> Decoder:
@@ -156,6 +207,32 @@ def _session(subject: Subject) -> Decoder:
     return decoder
 
 
+def _follow(subject: Subject, decoder: Decoder, events: list[Event], wanted: bytes, where: str) -> None:
+    """Check that no question after stray bytes is answered by them: neither now, nor by what comes next."""
+    told = [event.raw for event in events if isinstance(event, (Frame, Occurrence))]
+    if told not in ([wanted] if wanted else [], []):
+        raise CheckFailed(f"{where} are told: {shown(events)}: reject what no question asked for")
+    if any(isinstance(event, Refused) for event in events):
+        return
+    for _ in range(_PATIENCE):
+        request = decoder.tick()
+        if isinstance(request, Refused):
+            return
+        if request:
+            answer = _answer(subject, request)
+            found = decoder.feed(answer)
+            mixed = [event for event in found if isinstance(event, (Frame, Occurrence)) and event.raw != answer]
+            if mixed:
+                raise CheckFailed(
+                    f"{where} are told as a part of the next answer: {shown(found)} of {answer!r}: "
+                    "reject them, or refuse the session as out_of_step",
+                )
+            return
+    if events or wanted:
+        return
+    raise CheckFailed(f"{where} stay unexplained for ever: reject them, or refuse the session as out_of_step")
+
+
 def _check_sent(subject: Subject, sent: bytes, what: str) -> None:
     if sent and not any(re.fullmatch(pattern, sent, re.DOTALL) for pattern in subject.protocol.outgoing):
         raise CheckFailed(
@@ -163,10 +240,13 @@ def _check_sent(subject: Subject, sent: bytes, what: str) -> None:
         )
 
 
-def _expect_request(decoder: Decoder, which: str) -> None:
+def _expect_request(subject: Subject, decoder: Decoder, which: str) -> bytes:
     request = decoder.tick()
+    for _ in range(_PATIENCE if subject.protocol.records else 0):
+        request = request or decoder.tick()  # nothing may be due yet
     if not isinstance(request, bytes) or not request:
         raise CheckFailed(f"the {which} tick asks for nothing ({request!r}): return the request")
+    return request
 
 
 def _expect_silence(decoder: Decoder, when: str) -> None:

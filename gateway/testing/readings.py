@@ -39,9 +39,8 @@ class Reading:
 def read_group(normaliser: Normaliser, group: str, frame: Frame) -> Reading:
     """Read one group of a frame."""
     reader = normaliser.readers(frame.layout)[group]
-    struct, bad = reader.read(frame.raw, frame.start)
-    quality = worst(frame.quality, reader.quality, Quality.BAD if bad else Quality.GOOD)
-    return Reading(plain(struct), quality, bad, struct)
+    struct, quality = reader.read(frame)
+    return Reading(plain(struct), worst(frame.quality, quality), quality is Quality.BAD, struct)
 
 
 def read_groups(normaliser: Normaliser, frame: Frame) -> dict[str, Reading]:
@@ -50,7 +49,7 @@ def read_groups(normaliser: Normaliser, frame: Frame) -> dict[str, Reading]:
 
 
 def plain(struct: object) -> Plain:
-    """A group as plain values. Floats stay as they are, also where they are not finite."""
+    """A group, or a value in it, as plain values. Floats stay as they are, also where they are not finite."""
     return cast("Plain", msgspec.to_builtins(struct))
 
 

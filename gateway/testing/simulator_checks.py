@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 
-from gateway.api.decoder import Decoder, Event, Frame, Refused, Reject
+from gateway.api.decoder import Decoder, Event, Frame, Refused, Reject, Skipped
 from gateway.sim.scenario import SCENARIOS, find_scenario
 from gateway.sim.simulator import Port, Simulator, VirtualRobot, VirtualSession
 from gateway.testing.canonical_checks import canonical_fits
 from gateway.testing.subject import CheckFailed, Subject
+from gateway.testing.told import check_told
 
 _POLLS = 40
 _PERIOD_S = 0.25
@@ -60,7 +61,21 @@ def _step(subject: Subject, decoder: Decoder, session: VirtualSession, now_s: fl
             raise CheckFailed(f"the decoder does not take what the virtual controller sends: {event}")
         if isinstance(event, Frame):
             canonical_fits(subject.normaliser(), event, f"the virtual controller after {now_s:g} s")
+    if subject.protocol.records:
+        _check_messages(subject, asked, frames, now_s)
     return sum(isinstance(event, Frame) for event in frames)
+
+
+def _check_messages(subject: Subject, asked: bytes, events: Sequence[Event], now_s: float) -> None:
+    """Check what a virtual controller says in text: every question is answered, and vectors know what is skipped."""
+    where = f"the virtual controller after {now_s:g} s"
+    named = {vector.skipped for vector in subject.skipped}
+    for event in events:
+        check_told(subject, subject.states[0], event, where)
+        if isinstance(event, Skipped) and event.reason not in named:
+            raise CheckFailed(f"{where} says what is skipped as {event.reason!r}: add a vector of it")
+    if subject.polls and asked and not events:
+        raise CheckFailed(f"{where} does not answer {asked!r}: answer every request")
 
 
 def _answers(session: VirtualSession, asked: bytes, now_s: float) -> Sequence[bytes]:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import random
+from collections.abc import Iterator, Sequence
 
-from gateway.api.decoder import Event, Frame, Reject, Skipped
-from gateway.api.framing import FramedDecoder
-from gateway.testing.streams import check_conserved, cuts, feed_all, frames, placed
+from gateway.api.decoder import Decoder, Event, Frame, Refused, Reject, Skipped
+from gateway.api.record import Record
+from gateway.testing.playing import Turn, sessions, tell, turns_of
+from gateway.testing.streams import check_conserved, cuts, feed_all, frames, pending, placed
 from gateway.testing.subject import CheckFailed, Subject
+from gateway.testing.told import told
 from gateway.testing.vectors import Vector
 
 _GARBAGE = 65_536  # bytes of garbage; chance makes a frame of it once in very many seeds
@@ -16,10 +19,14 @@ _JUNK = 37  # bytes of junk between two frames
 
 def cuts_change_nothing(subject: Subject) -> None:
     """The same frames come whole, byte by byte, in random cuts and joined, and no byte is lost."""
-    for stream, expected in _clean_streams(subject):
-        for how, chunks in cuts(stream, subject.random()):
+    for turns, expected in _clean_streams(subject):
+        stream = b"".join(turn.raw for turn in turns)
+        for how, played in _cut(turns, subject.random()):
             decoder = subject.protocol.reader()
-            events = feed_all(decoder, chunks)
+            events: list[Event] = []
+            for asked, chunks in played:
+                tell(decoder, asked)
+                events += feed_all(decoder, chunks)
             check_conserved(stream, events, decoder.end(), how)
             found = [_told(event) for event in events]
             if found != expected:
@@ -35,7 +42,7 @@ def cuts_change_nothing(subject: Subject) -> None:
 def junk_is_rejected(subject: Subject) -> None:
     """Junk between frames becomes counted rejects, costs no frame that does not begin in it, however it is cut."""
     chance = subject.random()
-    magic = subject.protocol.framing.magic
+    magic = subject.framing.magic
     harmless = bytes(byte for byte in chance.randbytes(_JUNK * 4) if byte not in magic)[:_JUNK]
     for session in subject.sessions:
         stream = harmless + b"".join(vector.raw + harmless for vector in session)
@@ -55,7 +62,7 @@ def junk_is_rejected(subject: Subject) -> None:
 
 def garbage_gives_nothing(subject: Subject) -> None:
     """Random bytes, with and without magics among them, give no frame, no exception and a bounded buffer."""
-    framing = subject.protocol.framing
+    framing = subject.framing
     noise = bytearray(subject.random().randbytes(_GARBAGE))
     for name, garbage in (
         ("random", bytes(noise)),
@@ -82,12 +89,41 @@ def cut_frames_are_truncated(subject: Subject) -> None:
         decoder = subject.protocol.reader()
         decoder.feed(vector.raw[:-1])
         decoder.end()
-        if decoder.feed(vector.raw)[-1:] == [] or decoder.pending:
+        if decoder.feed(vector.raw)[-1:] == [] or pending(decoder):
             raise CheckFailed(f"after end(), {vector} is not found any more: end() must empty the buffer")
 
 
-def _clean_streams(subject: Subject) -> list[tuple[bytes, list[object]]]:
+def _cut(turns: Sequence[Turn], chance: random.Random) -> Iterator[tuple[str, list[tuple[bytes | None, list[bytes]]]]]:
+    """Ways to cut a stream, turn by turn."""
+    ways = zip(*(cuts(turn.raw, chance) for turn in turns), strict=True)
+    for way in ways:
+        yield way[0][0], [(turn.asked, chunks) for turn, (_, chunks) in zip(turns, way, strict=True)]
+
+
+def _clean_streams(subject: Subject) -> list[tuple[list[Turn], list[object]]]:
     """Streams of good frames, skipped ones among them, and what must come out."""
+    return _clean_text(subject) if subject.protocol.records else _clean_frames(subject)
+
+
+def _clean_text(subject: Subject) -> list[tuple[list[Turn], list[object]]]:
+    """Sessions of messages, and what comes out where each message is fed whole, one after the other."""
+    streams = []
+    for session in sessions(subject):
+        decoder = subject.protocol.reader()
+        expected: list[object] = []
+        for vector in session:
+            tell(decoder, vector.asked)
+            events = decoder.feed(vector.raw)
+            if any(isinstance(event, Refused) for event in events):
+                break
+            expected += map(_told, events)
+        else:
+            streams.append((turns_of(session), expected))
+    return streams
+
+
+def _clean_frames(subject: Subject) -> list[tuple[list[Turn], list[object]]]:
+    """Streams of binary frames, and what must come out."""
     streams = []
     for session in subject.sessions:
         vectors: list[Vector] = []
@@ -98,13 +134,14 @@ def _clean_streams(subject: Subject) -> list[tuple[bytes, list[object]]]:
             (vector.layout, vector.quality, vector.raw) if vector.layout else (vector.skipped, vector.raw)
             for vector in vectors
         ]
-        streams.append((b"".join(vector.raw for vector in vectors), expected))
+        streams.append((turns_of(vectors), expected))
     return streams
 
 
 def _told(event: Event) -> object:
     if isinstance(event, Frame):
-        return (event.layout.name, event.quality, event.raw)
+        key = (event.layout.name, event.quality, event.raw)
+        return (*key, told(event)) if isinstance(event.layout, Record) else key
     return (event.reason, event.raw) if isinstance(event, Skipped) else event
 
 
@@ -121,7 +158,7 @@ def _fed(subject: Subject, stream: bytes) -> list[tuple[str, list[Event]]]:
 
 def _check_tempting_junk(subject: Subject, session: Sequence[Vector]) -> None:
     """Junk full of magics may cost the frames that it seems to reach into, but cuts change nothing."""
-    framing = subject.protocol.framing
+    framing = subject.framing
     junk = _with_magics(bytearray(subject.random().randbytes(_JUNK)), framing.magic, subject)
     good = session[0].raw * (framing.largest // len(session[0].raw) + 2)
     stream = good + b"".join(junk + vector.raw for vector in session) + junk + good
@@ -150,6 +187,6 @@ def _with_magics(noise: bytearray, magic: bytes, subject: Subject) -> bytes:
     return bytes(found)
 
 
-def _check_bounded(decoder: FramedDecoder, largest: int) -> None:
-    if decoder.pending > largest:
-        raise CheckFailed(f"{decoder.pending} bytes wait in the buffer; no frame has more than {largest}: reject them")
+def _check_bounded(decoder: Decoder, largest: int) -> None:
+    if pending(decoder) > largest:
+        raise CheckFailed(f"{pending(decoder)} bytes wait in the buffer; no frame has more than {largest}: reject them")

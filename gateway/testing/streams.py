@@ -6,8 +6,8 @@ import random
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from gateway.api.decoder import Event, Frame, Refused, Reject, Skipped
-from gateway.api.framing import FramedDecoder, Framing
+from gateway.api.decoder import Decoder, Event, Frame, Occurrence, Refused, Reject, Skipped
+from gateway.api.framing import Framing
 from gateway.api.layout import TYPES
 from gateway.testing.subject import CheckFailed
 
@@ -21,7 +21,7 @@ class Placed:
     """An event and where its bytes stood in the stream."""
 
     start: int
-    event: Frame | Skipped | Reject
+    event: Frame | Occurrence | Skipped | Reject
 
     @property
     def end(self) -> int:
@@ -29,7 +29,7 @@ class Placed:
         return self.start + len(self.event.raw)
 
 
-def feed_all(decoder: FramedDecoder, chunks: Iterable[bytes]) -> list[Event]:
+def feed_all(decoder: Decoder, chunks: Iterable[bytes]) -> list[Event]:
     """Feed chunks one after the other."""
     return [event for chunk in chunks for event in decoder.feed(chunk)]
 
@@ -90,6 +90,12 @@ def check_conserved(stream: bytes, events: Sequence[Event], left: Sequence[Rejec
         f"fed {how}, the events hold {len(joined)} bytes of a stream of {len(stream)} and differ from byte {same} on: "
         "put every byte into the `raw` of exactly one event, in wire order, and what is left into end()",
     )
+
+
+def pending(decoder: Decoder) -> int:
+    """How many bytes a decoder says it keeps; 0 where it does not say."""
+    found: object = getattr(decoder, "pending", 0)
+    return found if isinstance(found, int) else 0
 
 
 def _pieces(data: bytes, largest: int, chance: random.Random) -> Iterator[bytes]:

@@ -6,9 +6,12 @@ import re
 from collections import Counter
 from collections.abc import Iterable
 
+import msgspec
+
 from gateway.api.framing import Framing, Kind
 from gateway.api.layout import TYPES
 from gateway.api.model import FRAME_GROUPS
+from gateway.api.record import Record
 from gateway.api.signals import leaf
 from gateway.api.vendor import Protocol, Vendor
 from gateway.testing.subject import CheckFailed, Subject
@@ -42,7 +45,7 @@ def folder_is_documented(subject: Subject) -> None:
         )
     if subject.protocol.name not in text:
         raise CheckFailed(f"{readme.name} does not mention the protocol {subject.protocol.name}: describe it")
-    if subject.protocol.framing.checksum is None and "checksum" not in text:
+    if (subject.protocol.framing is None or subject.framing.checksum is None) and "checksum" not in text:
         raise CheckFailed(f"{readme.name}: frames have no checksum; say so, and what damage cannot be noticed")
     subject.vectors  # noqa: B018 - fails where there is none
 
@@ -61,9 +64,21 @@ def tables_hold(subject: Subject) -> None:
             raise CheckFailed(f"layout {layout.name}: its dtype has {layout.dtype.itemsize} bytes, not {layout.size}")
 
 
+def records_hold(subject: Subject) -> None:
+    """Records have unique names, and each of their values a type, a known unit, a meaning and a source."""
+    records = subject.records
+    names = [record.name for record in records]
+    _none("record names", (name for name in names if names.count(name) > 1), "give each record its own name")
+    for record in records:
+        _none(f"problems of record {record.name}", record.problems(), "correct the table")
+        _none(f"types of record {record.name}", _type_problems(record), "name a type that msgspec converts to")
+        if not record.fields:
+            raise CheckFailed(f"record {record.name} has no values: name those that its messages carry")
+
+
 def framing_holds(subject: Subject) -> None:
     """The framing's parts stand inside the header, and every table fits the sizes that its kind allows."""
-    framing = subject.protocol.framing
+    framing = subject.framing
     if not framing.magic:
         raise CheckFailed("the framing has no magic: name the first bytes of every frame, or junk is taken for frames")
     last = framing.length_at + TYPES[framing.length_type][2]
@@ -90,22 +105,25 @@ def signals_compile(subject: Subject) -> None:
             )
     doubled = [key for key, count in Counter(signal.key for signal in signals).items() if count > 1]
     _none("keys that stand twice", doubled, "keep one row a key")
-    for layout in subject.protocol.layouts:
+    for table in subject.protocol.tables:
         try:
-            subject.normaliser().readers(layout)
+            subject.normaliser().readers(table)
         except (ValueError, KeyError, TypeError) as error:
-            raise CheckFailed(f"layout {layout.name}: {error}: correct the row, or the unit of its field") from error
+            kind = "record" if isinstance(table, Record) else "layout"
+            raise CheckFailed(f"{kind} {table.name}: {error}: correct the row, or the unit of its field") from error
 
 
 def _protocol_problems(protocol: Protocol) -> Iterable[str]:
-    if not 0 < protocol.port < 1 << 16:
+    if protocol.port is not None and not 0 < protocol.port < 1 << 16:
         yield f"port {protocol.port} is none"
     if protocol.stale_s <= 0 or protocol.cost <= 0:
         yield "stale_s and cost must be above 0"
-    if (protocol.request is None) != (protocol.rate_hz is None):
+    if protocol.framing is not None and (protocol.request is None) != (protocol.rate_hz is None):
         yield "request and rate_hz belong together: both for a polled protocol, neither for a pushed one"
     if protocol.rate_hz is not None and (protocol.max_rate_hz is None or protocol.max_rate_hz < protocol.rate_hz):
         yield f"max_rate_hz {protocol.max_rate_hz} must be there and not below rate_hz {protocol.rate_hz}"
+    if protocol.framing is None and protocol.rate_hz is not None and protocol.make_decoders is None:
+        yield "rate_hz is there, but no make_decoders: a text protocol that asks makes its own sessions"
     for pattern in protocol.outgoing:
         try:
             re.compile(pattern)
@@ -115,6 +133,14 @@ def _protocol_problems(protocol: Protocol) -> Iterable[str]:
         protocol.options()
     except TypeError as error:
         yield f"{protocol.options.__name__}: {error}: every option needs a default"
+
+
+def _type_problems(record: Record) -> Iterable[str]:
+    for value in record.fields:
+        try:
+            msgspec.json.Decoder(value.type)
+        except (TypeError, ValueError) as error:
+            yield f"{value.name}: {error}"
 
 
 def _kind_problems(framing: Framing, kind: Kind) -> Iterable[str]:

@@ -1,23 +1,27 @@
-"""`vectors.toml`: frames of a vendor, and what they must decode to.
+r"""`vectors.toml`: frames and messages of a vendor, and what they must decode to.
 
     [[vectors]]                       the first that carries state is a usual frame: speed is measured with it
     name = "idle"                     unique in the file
     protocol = "reqdata"
     origin = "…"                      where bytes and values come from: a manual, a capture, another client
     hex = "24 40 …"                   the whole frame
+    text = "jnt_pos : 0.1\r\n"          or the whole message of a text protocol, its end included
     base = "busy"                     or an earlier vector's bytes, then, in this order:
     cut = 512                           only so many of them
     append = "a1 a2"                    and these behind them
     patches = [{ at = 1, hex = "fc" }]  and these over them
-    layout = "580"                    for a frame that carries state
+    asked = "jnt_pos\r"               what was sent before it, where answers do not say what they answer
+    before = ["hello"]                earlier vectors that the same decoder has read first
+    layout = "580"                    for a frame that carries state: the name of its layout or record
     quality = "GOOD"                    and the quality of the frame
     skipped = "pop-up"                for a known frame that carries none
+    occurrences = [{ kind = "command.issued", data = { … } }]   for one that tells what has happened
     options = { … }                   of the robot: estop_polarity, and the protocol's own
     vendor.jnt_ang = [1.0, …]         values by the manual's names; `word.flag` for bits
     canonical.joints = { q = "GOOD", position = [ … ] }   a whole group: what is not named must be null
 
 TOML has no null: the text "null" stands for it. A vector with a base expects what its base expects, but for what it
-states itself.
+states itself. Each vector is one unit on the wire and gives exactly one event.
 """
 
 from __future__ import annotations
@@ -29,7 +33,7 @@ from pathlib import Path
 
 import msgspec
 
-from gateway.api.model import Quality
+from gateway.api.model import EventKind, Quality
 
 NULL = "null"
 
@@ -41,6 +45,20 @@ class _Patch(msgspec.Struct, forbid_unknown_fields=True):
     hex: str
 
 
+class Expected(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One thing that a message says has happened.
+
+    Attributes:
+        kind: What happened.
+        data: What the event's struct must hold: what is not named must be null.
+        raw: The vendor's raw values, as far as they are named.
+    """
+
+    kind: EventKind
+    data: Tree
+    raw: Tree = {}
+
+
 class _Row(msgspec.Struct, forbid_unknown_fields=True):
     """One vector as it stands in the file."""
 
@@ -48,13 +66,17 @@ class _Row(msgspec.Struct, forbid_unknown_fields=True):
     protocol: str
     origin: str
     hex: str | None = None
+    text: str | None = None
     base: str | None = None
     cut: int | None = None
     append: str = ""
     patches: list[_Patch] = []
+    asked: str | None = None
+    before: list[str] = []
     layout: str | None = None
     quality: Quality = Quality.GOOD
     skipped: str | None = None
+    occurrences: list[Expected] = []
     options: Tree = {}
     vendor: Tree = {}
     canonical: dict[str, Tree] = {}
@@ -70,8 +92,11 @@ class Vector:
 
     Attributes:
         raw: The whole frame.
-        layout: Name of its layout; None for a frame that carries no state.
+        asked: The bytes that were sent before it, or None where it needs no question.
+        before: What the same decoder has read first.
+        layout: Name of its table; None for a frame that carries no state.
         skipped: What a frame without state is counted as.
+        occurrences: What has happened, by a message that tells that.
         vendor: Values by the manual's names, None for null.
         canonical: Whole groups, each with its `q`.
     """
@@ -80,9 +105,12 @@ class Vector:
     protocol: str
     origin: str
     raw: bytes
+    asked: bytes | None = None
+    before: tuple[Vector, ...] = ()
     layout: str | None = None
     quality: Quality = Quality.GOOD
     skipped: str | None = None
+    occurrences: tuple[Expected, ...] = ()
     options: Mapping[str, object] = field(default_factory=dict)
     vendor: Mapping[str, object] = field(default_factory=dict)
     canonical: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
@@ -117,28 +145,44 @@ def load(path: Path) -> tuple[Vector, ...]:
 
 
 def _vector(row: _Row, earlier: Mapping[str, Vector]) -> Vector:
-    if (row.hex is None) == (row.base is None):
-        raise ValueError("it needs either `hex` or `base`")
-    if (row.layout is None) == (row.skipped is None):
-        raise ValueError("it needs either `layout` or `skipped`")
-    if row.base is not None and row.base not in earlier:
-        raise ValueError(f"its base {row.base!r} does not stand before it")
+    _check_row(row, earlier)
     base = earlier[row.base] if row.base is not None else None
     vendor, canonical = _nulls(row.vendor), _nulls(row.canonical)
+    asked = None if row.asked is None else row.asked.encode()
+    before = tuple(earlier[name] for name in row.before)
     if base is not None:
         vendor, canonical = _merged(base.vendor, vendor), _merged(base.canonical, canonical)
+        asked, before = base.asked if asked is None else asked, before or base.before
+    whole = row.text.encode() if row.text is not None else bytes.fromhex(row.hex or "")
     return Vector(
         name=row.name,
         protocol=row.protocol,
         origin=row.origin,
-        raw=_bytes(row, base.raw if base else bytes.fromhex(row.hex or "")),
+        raw=_bytes(row, base.raw if base else whole),
+        asked=asked,
+        before=before,
         layout=row.layout,
         quality=row.quality,
         skipped=row.skipped,
+        occurrences=tuple(msgspec.structs.replace(one, data=_nulls(one.data)) for one in row.occurrences),
         options=row.options,
         vendor=vendor,
         canonical=msgspec.convert(canonical, dict[str, dict[str, object]]),
     )
+
+
+def _check_row(row: _Row, earlier: Mapping[str, Vector]) -> None:
+    if [row.hex, row.text, row.base].count(None) != 2:  # noqa: PLR2004 - one of three
+        raise ValueError("it needs one of `hex`, `text` and `base`")
+    if [row.layout is None, row.skipped is None, not row.occurrences].count(False) != 1:
+        raise ValueError("it needs one of `layout`, `skipped` and `occurrences`")
+    if row.base is not None and row.base not in earlier:
+        raise ValueError(f"its base {row.base!r} does not stand before it")
+    unknown = [name for name in row.before if name not in earlier]
+    if unknown:
+        raise ValueError(f"it names {unknown[0]!r} in `before`, which does not stand before it")
+    if row.asked == "":
+        raise ValueError("`asked` is empty: leave it out where nothing was asked")
 
 
 def _bytes(row: _Row, start: bytes) -> bytes:

@@ -73,7 +73,7 @@ def robot(config: Config, index: int = 0) -> RobotSettings:
 
 def test_what_is_not_said_has_the_defaults_of_the_vendor() -> None:
     config = parse(ROBOT, "g.toml")
-    assert config.server == Server(listen="127.0.0.1:8765", flush_ms=2.0, event_ring=10_000)
+    assert config.server == Server(listen="127.0.0.1:8765", flush_ms=2.0, event_ring=10_000, command_ring=20_000)
     assert config.server.address == ("127.0.0.1", 8765)
     found = robot(config)
     assert (found.name, found.host, found.port) == ("r1", "10.0.2.7", 5001)
@@ -150,7 +150,7 @@ SERVER = [
     ("event_ring = 10.5", "server.event_ring: 10.5 is not a whole number"),
     ("event_ring = 99999999999999999999999", "is not a whole number"),
     ("listn = 1", 'server.listn: unknown key; did you mean "listen"?'),
-    ("zzz = 1", "server.zzz: unknown key; the keys here are: listen, flush_ms, event_ring"),
+    ("zzz = 1", "server.zzz: unknown key; the keys here are: listen, flush_ms, event_ring, command_ring"),
     ("vendor_dirs = []", "server.vendor_dirs: belongs at the top of the file, above the first [table]"),
 ]
 

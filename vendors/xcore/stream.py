@@ -83,6 +83,7 @@ class ObjectsDecoder:
         self._ticks = self._questions = self._unanswered = 0
         self._held: dict[str, object] = {}  # what events have told, until the next of their kind
         self._refusals: dict[str, str] = {}
+        self._farewell = ""
         self.ready = False
 
     @property
@@ -91,6 +92,8 @@ class ObjectsDecoder:
         found = (
             [] if self.ready else ["connected, but no hello came: is it the agent of xcore-objects that listens there?"]
         )
+        if self._farewell:
+            found.append(f"the agent closes the connection and says: {self._farewell}")
         if self._held.get("connected") is False:
             found.append("the agent says that its SDK has lost the controller")
         found += [f"the agent refuses {name}: {why}" for name, why in self._refusals.items()]
@@ -159,6 +162,8 @@ class ObjectsDecoder:
             raise BadMessageError("no_type", "the message has no member `type` that is a text")
         if kind == "hello":
             return self._hello(raw, message)
+        if kind == "closing":
+            return self._closing(raw, message)
         if not self.ready:
             raise BadMessageError("no_hello", f"a message {kind[:40]!r} before the hello")
         self._count(kind, message)
@@ -190,6 +195,12 @@ class ObjectsDecoder:
             self._info = cast("Info", _object("info", "Info", info))
         self.ready = True
         return [Skipped(raw, "hello")]
+
+    def _closing(self, raw: bytes, message: Json) -> list[Event]:
+        """The agent says why it is about to close; before a hello it never lets this gateway in."""
+        self._farewell = str(message.get("reason"))[:160]
+        events: list[Event] = [Skipped(raw, "closing")]
+        return events if self.ready else [*events, Refused(f"the agent says: {self._farewell}")]
 
     def _state(self, raw: bytes, message: Json) -> list[Event]:
         values = self._values(message, {name: told for name, told in message.items() if name in _STATE})
@@ -246,7 +257,8 @@ class ObjectsDecoder:
             missed = Entry(EventKind.COMMAND_MISSED, CommandsMissed(count=max(1, lost)), _raw(message))
             told = f"issued {name}: {wrong[0] if wrong else 'no commands'}"
             return [Reject(raw, "command", told), Occurrence(b"", (missed,))]
-        source, total = _raw(message), len(commands)
+        first = _count_of(message, "firstIndex", 0)
+        source, total = _raw(message), _count_of(message, "total", first + len(commands))
         kind = kind if kind.endswith("Command") else f"{kind}Command"
         return [
             Occurrence(
@@ -257,7 +269,7 @@ class ObjectsDecoder:
                         Command(id=name, type=kind, index=index, total=total, object=one),
                         source,
                     )
-                    for index, one in enumerate(commands)
+                    for index, one in enumerate(commands, first)
                 ),
             )
         ]
@@ -344,11 +356,28 @@ def _feedback(message: Json, data: Json) -> Entry:
         id=cast("str", data["cmdID"]),
         index=index,
         reached=reached,
-        error=data.get("error") or None,
+        error=_failure(data.get("error")),
         text=cast("str | None", told) or None,
         custom=cast("str | None", custom),
     )
     return Entry(EventKind.COMMAND_EXECUTED, feedback, _raw(message))
+
+
+def _failure(error: object) -> object:
+    """What a feedback says went wrong; None where its error code says that nothing did."""
+    return None if isinstance(error, Mapping) and not error.get("ec") else error or None
+
+
+def _count_of(message: Json, name: str, otherwise: int) -> int:
+    """A count that a message need not have.
+
+    Raises:
+        BadMessageError: It is none.
+    """
+    told = message.get(name, otherwise)
+    if type(told) is not int or told < 0:
+        raise BadMessageError("value", f"{name} is {told!r}, not a whole number from 0 on")
+    return told
 
 
 def _raw(message: Json) -> dict[str, object]:
