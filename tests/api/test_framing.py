@@ -57,7 +57,7 @@ def bare(size: int, fill: int = 1) -> bytes:
 
 
 def reasons(events: list[Event]) -> list[str]:
-    return [event.reason if not isinstance(event, Frame) else event.layout.name for event in events]
+    return [event.layout.name if isinstance(event, Frame) else getattr(event, "reason", "") for event in events]
 
 
 GOOD = sealed(b"\0\0\0\x07")

@@ -179,6 +179,7 @@ def test_a_size_that_no_table_states_is_read_as_far_as_one_goes(
 ) -> None:
     found = only_frame(frame(total))
     assert (found.layout.name, found.quality) == (name, quality)
+    assert isinstance(found.layout, Layout)
     assert found.layout.by_name["values"].present == present
 
 

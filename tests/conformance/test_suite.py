@@ -60,9 +60,7 @@ def with_framing(subject: Subject, **changes: object) -> Subject:
 
 def with_layouts(subject: Subject, change: Callable[[Layout], Layout]) -> Subject:
     """A copy whose tables differ."""
-    kinds = [
-        dataclasses.replace(kind, layouts=tuple(map(change, kind.layouts))) for kind in subject.framing.kinds
-    ]
+    kinds = [dataclasses.replace(kind, layouts=tuple(map(change, kind.layouts))) for kind in subject.framing.kinds]
     return with_framing(subject, kinds=tuple(kinds))
 
 
@@ -354,9 +352,7 @@ DEFECTS: Mapping[str, tuple[Plant, str, str]] = {
         "should give one frame of layout 580",
     ),
     "a kind that its table does not fit": (
-        lambda s: with_framing(
-            s, kinds=tuple(dataclasses.replace(kind, smallest=500) for kind in s.framing.kinds)
-        ),
+        lambda s: with_framing(s, kinds=tuple(dataclasses.replace(kind, smallest=500) for kind in s.framing.kinds)),
         "framing_holds",
         "a frame of layout 488 has 488 bytes",
     ),

@@ -3,30 +3,31 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import ModuleType
 from typing import cast
 
 import msgspec
 import pytest
 
-from gateway.api.decoder import Decoder, Event, Frame, Occurrence, Refused, Reject, Skipped, Table
-from gateway.api.lines import Lines
+from gateway.api.decoder import Decoder, Event, Frame, Table
+from gateway.api.model import Quality
 from gateway.api.normaliser import Normaliser
 from gateway.api.reader import Reader
 from gateway.api.record import Record, Value
-from gateway.api.vendor import Protocol
+from gateway.api.signals import Signal
+from gateway.api.vendor import DecoderFactory
 from gateway.core.registry import Registry
 from gateway.sim.simulator import Simulator, VirtualRobot
 from gateway.testing.conformance import CHECKS, Result, perform, subjects
 from gateway.testing.subject import Subject
+from tests.conformance import defects
 
 HERE = Path(__file__).parent
+Plant = Callable[[Subject], Subject]
 BY_NAME = {check.name: check for check in CHECKS}
-NOT_POLLED = tuple(check.name for check in CHECKS if "polled" in check.of)
+FOR_POLLED = tuple(check.name for check in CHECKS if "polled" in check.of)
 FOR_BYTES = tuple(check.name for check in CHECKS if "bytes" in check.of)
 
 
@@ -85,40 +86,43 @@ def with_record(subject: Subject, record: Record) -> Subject:
     return with_protocol(subject, records=(record,), make_reader=retold)
 
 
-def changed(subject: Subject, name: str, **methods: Callable[..., object]) -> type[Decoder]:
-    """A decoder of the plugin with other methods; each gets the plain one as `plain`."""
-    plain: type[Decoder] = getattr(_module(subject), name)
+def with_signal(subject: Subject, at: str, /, **changes: object) -> Subject:
+    """A copy in which one signal row differs."""
 
-    def bound(method: str, new: Callable[..., object]) -> Callable[..., object]:
-        return lambda self, *args: new(self, getattr(plain, method, None), *args)
+    def differing(row: Signal) -> Signal:
+        return dataclasses.replace(row, **changes) if row.key == at else row  # type: ignore[arg-type] # the same
 
-    return type("Changed", (plain,), {method: bound(method, new) for method, new in methods.items()})
+    return with_protocol(subject, signals=tuple(map(differing, subject.protocol.signals)))
 
 
-def reading(**methods: Callable[..., object]) -> Plant:
+def changed(plain: DecoderFactory, methods: Mapping[str, Callable[..., object] | None]) -> DecoderFactory:
+    """A decoder of the plugin in which other methods stand in for some; None: it has no such method."""
+    assert isinstance(plain, type)
+
+    def standing_in(name: str, new: Callable[..., object]) -> Callable[..., object]:
+        return lambda self, *args: new(self, getattr(plain, name), *args)
+
+    return type("Changed", (plain,), {name: new and standing_in(name, new) for name, new in methods.items()})
+
+
+def reading(**methods: Callable[..., object] | None) -> Plant:
     """Plant a reading decoder with other methods."""
 
     def plant(subject: Subject) -> Subject:
-        name = "LinesDecoder" if subject.vendor.name == "lima" else "Answers"
-        return with_protocol(subject, make_reader=changed(subject, name, **methods))
+        assert subject.protocol.make_reader is not None
+        return with_protocol(subject, make_reader=changed(subject.protocol.make_reader, methods))
 
     return plant
 
 
-def asking(**methods: Callable[..., object]) -> Plant:
+def asking(**methods: Callable[..., object] | None) -> Plant:
     """Plant a session with other methods."""
 
     def plant(subject: Subject) -> Subject:
-        decoder = changed(subject, "Asking", **methods)
+        decoder = changed(subject.protocol.decoders(subject.options()), methods)
         return with_protocol(subject, make_decoders=lambda _options, _rate_hz: decoder)
 
     return plant
-
-
-def _module(subject: Subject) -> ModuleType:
-    import sys  # noqa: PLC0415 - the plugin's module, whatever folder it was loaded from
-
-    return sys.modules[f"vendors.{subject.vendor.name}"]
 
 
 class Twisted(Normaliser):
@@ -178,161 +182,6 @@ def simulated(answer: Callable[[list[bytes]], list[bytes]]) -> Plant:
     return plant
 
 
-Plain = Callable[..., object]
-
-
-def repairs(self: object, plain: Plain, raw: bytes) -> object:
-    """Make something of every line."""
-    try:
-        return plain(self, raw)
-    except msgspec.DecodeError:
-        return {"type": "state", "seq": 1, "volts": 0.0}
-
-
-def closes(self: object, plain: Plain, raw: bytes) -> object:
-    """Close what was left open."""
-    try:
-        return plain(self, raw)
-    except msgspec.DecodeError:
-        return plain(self, raw.strip() + b"}")
-
-
-def takes_neighbour(_self: object, _plain: Plain, told: dict[str, object]) -> dict[str, object]:
-    """Read the volts of a length elsewhere in the message."""
-    return {"angles": told.get("angles"), "volts": float(len(str(told.get("mode"))))}
-
-
-def gives_up(self: object, plain: Plain, raw: bytes) -> object:
-    """Reject everything behind a wrong line."""
-    event = Reject(raw, "broken") if getattr(self, "broken", False) else plain(self, raw)
-    self.__dict__["broken"] = isinstance(event, Reject)
-    return event
-
-
-def remembers(self: object, plain: Plain, told: dict[str, object]) -> dict[str, object]:
-    """Tell what was told before in place of what is not there; a number as text."""
-    held = self.__dict__.setdefault("held", {})
-    held.update(cast("dict[str, object]", plain(self, told)))
-    return dict(held)
-
-
-def unlimited(self: object, plain: Plain, data: bytes) -> object:
-    """Keep a line however long it gets."""
-    if "grown" not in self.__dict__:
-        self.__dict__["_lines"] = Lines(b"\n", 1 << 30)
-        self.__dict__["grown"] = True
-    return plain(self, data)
-
-
-def eager(self: object, plain: Plain, data: bytes) -> object:
-    """Take an object for whole before its line has ended."""
-    events = cast("list[Event]", plain(self, data))
-    lines = cast("Lines", self.__dict__["_lines"])
-    if lines._buffer.endswith(b"}"):
-        event = cast("Event", self.line(lines._buffer))  # type: ignore[attr-defined] # the plugin's
-        lines._buffer, lines._searched = b"", 0
-        return [*events, event]
-    return events
-
-
-def one_read(self: object, plain: Plain, data: bytes) -> object:
-    """Take one read for whole lines."""
-    return [*cast("list[Event]", plain(self, data)), *self.end()]  # type: ignore[attr-defined] # the plugin's
-
-
-def unchecked(_self: object, _plain: Plain, told: dict[str, object]) -> dict[str, object]:
-    """Tell every member as it came."""
-    return {name: told[name] for name in ("angles", "volts", "mode", "collision") if name in told}
-
-
-def unnamed(self: object, plain: Plain, told: dict[str, object]) -> dict[str, object]:
-    """Tell a value that no table has."""
-    return {**cast("dict[str, object]", plain(self, told)), "extra": 1}
-
-
-def loose(_self: object, _plain: Plain, raw: bytes) -> object:
-    """Parse with the standard library, and take lists too."""
-    told = json.loads(raw)
-    return told[0] if isinstance(told, list) and told else told
-
-
-def first_object(_self: object, plain: Plain, raw: bytes) -> object:
-    """Take the first object of a list."""
-    told = msgspec.json.decode(raw)
-    return told[0] if isinstance(told, list) and told and isinstance(told[0], dict) else plain(None, raw)
-
-
-def keeps_pending(self: object, _plain: Plain, data: bytes) -> None:
-    """Leave what waits for the answer to the next question."""
-    self.__dict__["_word"] = data[:-1].decode()
-
-
-def tells_strays(self: object, _plain: Plain, raw: bytes) -> object:
-    """Take what nobody asked for as the answer to the last question."""
-    if self.__dict__["_word"] is None:
-        self.__dict__["_word"] = "mode"
-    return _plain(self, raw)
-
-
-def keeps_strays(self: object, plain: Plain, data: bytes) -> object:
-    """Keep what nobody asked for until somebody asks."""
-    if self.__dict__["_word"] is None:
-        self.__dict__["_buffer"] += data
-        return []
-    return plain(self, data)
-
-
-def impatient(self: object, _plain: Plain) -> bytes:
-    """Ask in every period."""
-    self.__dict__["_word"] = self.__dict__["_rota"].next() or "mode"
-    return self.__dict__["_word"].encode() + b"\r"
-
-
-def stubborn(self: object, plain: Plain) -> object:
-    """Ask into what waits."""
-    self.__dict__["_buffer"], kept = b"", self.__dict__["_buffer"]
-    asked = plain(self)
-    self.__dict__["_buffer"] = kept
-    return asked
-
-
-def half_pairs(self: object, plain: Plain, raw: bytes) -> object:
-    """Read only as many numbers as come, in their order, the last one doubled."""
-    event = plain(self, raw)
-    if isinstance(event, Frame) and "pos" in event.values:
-        numbers = cast("list[float]", event.values["pos"])
-        return msgspec.structs.replace(event, values={"pos": numbers, "volts": numbers[0]})
-    return event
-
-
-def answered_by_comments(self: object, plain: Plain, raw: bytes) -> object:
-    """Take a comment for the answer."""
-    event = plain(self, raw)
-    if isinstance(event, Skipped):
-        self.__dict__["_word"] = None
-    return event
-
-
-def slowly(self: object, plain: Plain, data: bytes) -> object:
-    """Take a long time."""
-    sum(range(20_000))
-    return plain(self, data)
-
-
-def raises_bytes(self: object, plain: Plain, raw: bytes) -> object:
-    """Decode without care."""
-    raw.decode()
-    return plain(self, raw)
-
-
-def invents(self: object, plain: Plain, raw: bytes) -> object:
-    """Say that something has happened where nothing has."""
-    event = plain(self, raw)
-    return Occurrence(raw, ()) if isinstance(event, Reject) else event
-
-
-Plant = Callable[[Subject], Subject]
-
 # defect -> the vendor, how it is planted, the check that must find it, and words that its message must have
 DEFECTS: Mapping[str, tuple[str, Plant, str, str]] = {
     "a unit that does not exist": (
@@ -342,7 +191,12 @@ DEFECTS: Mapping[str, tuple[str, Plant, str, str]] = {
         "unit 'furlong' is unknown",
     ),
     "a value that means nothing": ("lima", lambda s: with_value(s, "volts", meaning=""), "records_hold", "no meaning"),
-    "a type that is none": ("mike", lambda s: with_value(s, "volts", type=3), "records_hold", "types of record answers"),
+    "a type that is none": (
+        "mike",
+        lambda s: with_value(s, "volts", type=3),
+        "records_hold",
+        "types of record answers",
+    ),
     "a record without a source": (
         "mike",
         lambda s: with_record(s, dataclasses.replace(s.records[0], source="")),
@@ -388,35 +242,89 @@ DEFECTS: Mapping[str, tuple[str, Plant, str, str]] = {
     ),
     "questions that the reader does not take": (
         "mike",
-        lambda s: with_protocol(s, make_reader=_module(subject=s).Asking.__mro__[1].__base__),
+        reading(asked=None),
         "vectors_decode",
-        "",
+        "takes no questions: give it a method `asked(data)`",
     ),
-    "one read taken for whole lines": ("lima", reading(feed=one_read), "cuts_change_nothing", "how bytes arrive"),
-    "values of a line before": ("lima", reading(values=remembers), "canonical_groups_fit_the_model", ""),
-    "a line that is repaired": ("lima", reading(parse=repairs), "damaged_lines_stay_alone", "from its own place alone"),
+    "one read taken for whole lines": (
+        "lima",
+        reading(feed=defects.one_read),
+        "cuts_change_nothing",
+        "how bytes arrive",
+    ),
+    "a line that is repaired": (
+        "lima",
+        reading(parse=defects.repairs),
+        "damaged_lines_stay_alone",
+        "from its own place alone",
+    ),
     "a value from another's place": (
         "lima",
-        reading(values=takes_neighbour),
+        reading(values=defects.takes_neighbour),
         "damaged_lines_stay_alone",
         "volts is 3.0 instead of 4.0",
     ),
-    "a decoder that gives up": ("lima", reading(line=gives_up), "damaged_lines_stay_alone", "costs good message"),
+    "a decoder that gives up": (
+        "lima",
+        reading(line=defects.gives_up),
+        "damaged_lines_stay_alone",
+        "costs good message",
+    ),
     "something that has not happened": (
         "lima",
-        reading(line=invents),
+        reading(line=defects.invents),
         "damaged_lines_stay_alone",
         "which did not",
     ),
-    "two values of one number": ("mike", reading(answer=half_pairs), "damaged_lines_stay_alone", "one word"),
-    "an answer that mixes two": ("mike", reading(asked=keeps_pending), "damaged_lines_stay_alone", "mixes two messages"),
-    "a line that is not waited for": ("lima", reading(feed=eager), "cut_lines_tell_nothing", "wait for the end"),
-    "a cut line that is closed": ("lima", reading(parse=closes), "cut_lines_tell_nothing", "reject what is not whole"),
-    "lines without bounds": ("lima", reading(feed=unlimited), "long_lines_cost_themselves", "wait for the end of their"),
-    "bytes that are no UTF-8": ("lima", reading(line=raises_bytes), "junk_lines_tell_nothing", "UnicodeDecodeError"),
-    "junk that has happened": ("lima", reading(line=invents), "junk_lines_tell_nothing", "reject what is no message"),
-    "values as they came": ("lima", reading(values=unchecked), "json_is_taken_with_care", "through Record.convert"),
-    "a value that no table has": ("lima", reading(values=unnamed), "values_have_their_types", "'extra' comes, which"),
+    "two values of one number": ("mike", reading(answer=defects.told_twice), "damaged_lines_stay_alone", "one word"),
+    "an answer that mixes two": (
+        "mike",
+        reading(asked=defects.keeps_pending),
+        "damaged_lines_stay_alone",
+        "mixes two messages",
+    ),
+    "a line that is not waited for": (
+        "lima",
+        reading(feed=defects.eager),
+        "cut_lines_tell_nothing",
+        "wait for the end",
+    ),
+    "a cut line that is closed": (
+        "lima",
+        reading(parse=defects.closes),
+        "cut_lines_tell_nothing",
+        "reject what is not whole",
+    ),
+    "lines without bounds": (
+        "lima",
+        reading(feed=defects.unlimited),
+        "long_lines_cost_themselves",
+        "wait for the end of their",
+    ),
+    "bytes that are no UTF-8": (
+        "lima",
+        reading(line=defects.raises_bytes),
+        "junk_lines_tell_nothing",
+        "UnicodeDecodeError",
+    ),
+    "junk that has happened": (
+        "lima",
+        reading(line=defects.invents),
+        "junk_lines_tell_nothing",
+        "reject what is no message",
+    ),
+    "values as they came": (
+        "lima",
+        reading(values=defects.unchecked),
+        "json_is_taken_with_care",
+        "through Record.convert",
+    ),
+    "a value that no table has": (
+        "lima",
+        reading(values=defects.unnamed),
+        "values_have_their_types",
+        "'extra' comes, which",
+    ),
     "a value of another type": (
         "lima",
         lambda s: with_value(s, "volts", type=str),
@@ -425,18 +333,23 @@ DEFECTS: Mapping[str, tuple[str, Plant, str, str]] = {
     ),
     "NaN that is told": (
         "mike",
-        lambda s: with_value(reading(answer=_unlimited_floats)(s), "volts", type=float),
+        lambda s: with_value(reading(answer=defects.unconverted)(s), "volts", type=float),
         "numbers_stay_finite",
         "volts is nan: reject it",
     ),
-    "an object inside a list": ("lima", reading(parse=first_object), "json_is_taken_with_care", "take one object a line"),
+    "an object inside a list": (
+        "lima",
+        reading(parse=defects.first_object),
+        "json_is_taken_with_care",
+        "take one object a line",
+    ),
     "recursion without end": (
         "lima",
-        reading(line=_no_care, parse=loose),
+        reading(line=defects.careless),
         "json_is_taken_with_care",
         "RecursionError",
     ),
-    "zero where nothing is known": ("lima", twisted(lambda g, r: _zeros(g, r)), "what_is_not_told_is_null", "is 0.0"),
+    "zero where nothing is known": ("lima", twisted(defects.zeros), "what_is_not_told_is_null", "is 0.0"),
     "a key that stands still": (
         "lima",
         twisted(lambda _, reader: dataclasses.replace(reader, key=lambda _frame: 0)),
@@ -451,28 +364,33 @@ DEFECTS: Mapping[str, tuple[str, Plant, str, str]] = {
     ),
     "a second question before the answer": (
         "mike",
-        asking(tick=impatient),
+        asking(tick=defects.impatient),
         "one_request_is_outstanding",
         "a second request leaves",
     ),
-    "questions that run ahead": ("mike", asking(tick=impatient), "requests_never_outrun_answers", "wait for each"),
+    "questions that run ahead": (
+        "mike",
+        asking(tick=defects.impatient),
+        "requests_never_outrun_answers",
+        "wait for each",
+    ),
     "a comment taken for the answer": (
         "mike",
-        asking(answer=answered_by_comments),
+        asking(answer=defects.answered_by_comments),
         "skipped_frames_answer_nothing",
         "which carries no state",
     ),
     "an answer that nobody asked for": (
         "mike",
-        asking(answer=tells_strays),
+        asking(answer=defects.tells_strays),
         "late_answers_answer_nothing",
         "reject what no question asked for",
     ),
     "a late answer kept for the next question": (
         "mike",
-        asking(feed=keeps_strays, tick=stubborn),
+        asking(feed=defects.keeps_strays, tick=defects.stubborn),
         "late_answers_answer_nothing",
-        "",
+        "as a part of the next answer",
     ),
     "a question that no vector answers": (
         "mike",
@@ -492,17 +410,69 @@ DEFECTS: Mapping[str, tuple[str, Plant, str, str]] = {
         "simulator_answers",
         "does not answer b'mode\\r'",
     ),
-    "a line that no vector knows": (
+    "a skipped line of another name": (
         "mike",
         edited('skipped = "comment"', 'skipped = "remark"'),
         "vectors_decode",
         "one skipped frame, remark",
     ),
-    "a slow decoder": ("lima", reading(feed=slowly), "decoding_is_fast", "times json.loads of the same bytes"),
-    "a slow decoder of words": ("mike", reading(feed=slowly), "decoding_is_fast", "times finding the numbers of"),
+    "a skipped line that no vector knows": (
+        "lima",
+        edited('skipped = "empty"', 'skipped = "blank"'),
+        "simulator_answers",
+        "skipped as 'empty': add a vector of it",
+    ),
+    "a vendor group that is not whole": (
+        "lima",
+        twisted(lambda _, reader: dataclasses.replace(reader, read=lambda _frame: ({}, Quality.GOOD))),
+        "vendor_group_is_whole",
+        "vendor.angles",
+    ),
+    "an enumeration with a word of its own": (
+        "mike",
+        lambda s: with_signal(s, "status.operating_mode", via=lambda _: "DANCING"),
+        "canonical_groups_fit_the_model",
+        "Invalid enum value 'DANCING'",
+    ),
+    "a slow decoder": ("lima", reading(feed=defects.slowly), "decoding_is_fast", "times json.loads of the same bytes"),
+    "a slow decoder of words": (
+        "mike",
+        reading(feed=defects.slowly),
+        "decoding_is_fast",
+        "times finding the numbers of",
+    ),
 }
 
 
-def _unlimited_floats(self: object, plain: Plain, raw: bytes) -> object:
-    event = plain(self, raw)
-    return event
+@pytest.fixture
+def vendors(tmp_path: Path) -> Callable[[str], Subject]:
+    return lambda name: loaded(tmp_path, name)
+
+
+@pytest.mark.limit(60)
+@pytest.mark.parametrize("defect", DEFECTS)
+async def test_a_planted_defect_is_found(vendors: Callable[[str], Subject], defect: str) -> None:
+    name, plant, check, words = DEFECTS[defect]
+    outcome = await perform(BY_NAME[check], plant(vendors(name)))
+    assert outcome.result == "failed"
+    assert words in outcome.message
+    assert len(outcome.message) < 1500
+
+
+@pytest.mark.parametrize("check", BY_NAME)
+async def test_an_invented_vendor_that_pushes_lines_passes(lima: Subject, check: str) -> None:
+    outcome = await perform(BY_NAME[check], lima)
+    wanted: Result = "does not apply" if check in {*FOR_BYTES, *FOR_POLLED} else "passed"
+    assert outcome.result == wanted, outcome.message
+
+
+@pytest.mark.parametrize("check", BY_NAME)
+async def test_an_invented_vendor_that_answers_words_passes(mike: Subject, check: str) -> None:
+    outcome = await perform(BY_NAME[check], mike)
+    wanted: Result = "does not apply" if check in {*FOR_BYTES, "json_is_taken_with_care"} else "passed"
+    assert outcome.result == wanted, outcome.message
+
+
+def test_every_check_of_text_has_a_defect_that_it_finds() -> None:
+    found = {check for _, _, check, _ in DEFECTS.values()}
+    assert {check.name for check in CHECKS if "text" in check.of} <= found

@@ -26,16 +26,25 @@ from gateway.api.vendor import DecoderFactory
 from vendors.xcore.external_words import CONTROL_WORDS, FLAGS, LONGEST, RECORD, WORDS, BadAnswerError, Word
 
 _LONGEST_SUFFIX = 8
-# A word that only asks and a suffix: no more is ever sent, and no suffix may hold a word that does something.
-OUTGOING = (
-    rb"(?:"
-    + b"|".join(name.encode() for name in WORDS)
-    + rb")(?![\s\S]*(?:"
-    + b"|".join(word.encode() for word in CONTROL_WORDS)
-    + rb"))[\x00-\x7f]{1,8}"
-)
 _STRIKES = 2
+_SHOWN = 40  # bytes of an answer that a message shows
 _GRACE_TICKS = 5  # unexplained bytes may wait so long for a rest that explains them
+
+
+def _completions(word: str) -> list[str]:
+    """What would complete the end of a word to one that does something: `tart` behind `jnt_pos`."""
+    found = {(name[:cut], name[cut:]) for name in CONTROL_WORDS for cut in range(1, len(name))}
+    return sorted(tail for head, tail in found if word.endswith(head))
+
+
+def _asking(word: str) -> str:
+    wrong = "|".join([*_completions(word), rf"[\s\S]*(?:{'|'.join(CONTROL_WORDS)})"])
+    return f"{word}(?!{wrong})"
+
+
+# A word that only asks and a suffix: no more is ever sent. Nor does a suffix hold a word that does something, or
+# complete one.
+OUTGOING = f"(?i:{'|'.join(map(_asking, WORDS))})[\\x00-\\x7f]{{1,{_LONGEST_SUFFIX}}}".encode()
 Wish = Annotated[float, Meta(ge=0, le=100, description="How often a word is asked, in Hz; 0: never.")]
 
 
@@ -73,8 +82,11 @@ class ExternalOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
             raise ValueError("words: every rate is 0, so nothing would ever be asked")
         if not self.suffix.isascii():
             raise ValueError(f"suffix: {self.suffix!r} has characters that are not ASCII")
-        if any(word in self.suffix for word in CONTROL_WORDS) or any(self.suffix in text.decode() for text in FLAGS):
-            raise ValueError(f"suffix: {self.suffix!r} would be taken for a word or an answer")
+        if any(self.suffix in flag.decode() or self.suffix.startswith(flag.decode()) for flag in FLAGS):
+            raise ValueError(f"suffix: {self.suffix!r} would be taken for an answer")
+        control = next((word for word in CONTROL_WORDS if _told_with(self.suffix, word)), None)
+        if control:
+            raise ValueError(f"suffix: a word that only asks, with {self.suffix!r}, holds {control!r}, which does more")
         if any(character in "0123456789.+-" for character in self.suffix):
             raise ValueError(f"suffix: {self.suffix!r} would be taken for a part of a number")
         try:
@@ -88,6 +100,16 @@ class ExternalOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
         return {name: self.words.get(name, word.wish_hz) for name, word in WORDS.items()}
 
 
+def _told_with(suffix: str, control: str) -> bool:
+    """Whether a word that does something stands in what is sent, other than inside of a word that only asks."""
+    suffix, control = suffix.lower(), control.lower()
+    return any(
+        f"{word}{suffix}{following}".count(control) > word.count(control) + following.count(control)
+        for word in WORDS
+        for following in WORDS
+    )
+
+
 def slowest_s(options: msgspec.Struct, rate_hz: float) -> float:
     """The longest time between two questions of the same word, in s."""
     wishes = [wish for wish in cast("ExternalOptions", options).wishes.values() if wish > 0]
@@ -98,7 +120,7 @@ class Answers:
     """Reads the answers to words that were asked; it is told of each one when it is sent.
 
     Args:
-        suffix: What ends an answer, and may stand behind a yes or no.
+        suffix: What ends an answer, and may stand behind a yes or no; a question that ends otherwise says it anew.
         axes: How many joint values an answer has at least.
     """
 
@@ -110,6 +132,7 @@ class Answers:
         self._suffix = suffix.encode()
         self._axes = axes
         self._buffer = b""
+        self._given_up = b""  # what came of an answer before its word was asked again
         self._may_follow = False  # the suffix of a yes or no, which may come or not
         self.asked_for: Word | None = None
 
@@ -120,18 +143,25 @@ class Answers:
         return 0 if rest is None else len(rest)
 
     def asked(self, data: bytes) -> None:
-        """Take what was sent: one word and the suffix.
+        """Take what was sent: one word and the suffix. An earlier question without an answer is given up.
 
         Raises:
             ValueError: It is no word that only asks.
         """
-        name = data.decode("ascii", "replace").removesuffix(self._suffix.decode())
-        if name not in WORDS:
-            raise ValueError(f"{name!r} is no word that only asks")
+        text = data.decode("ascii", "replace")
+        name = next((word for word in WORDS if text.startswith(word) and text != word), None)
+        if name is None:
+            raise ValueError(f"{text[:40]!r} is no word that only asks, with a suffix")
+        if self.asked_for is not None:
+            self._given_up, self._buffer, self._may_follow = self._given_up + self._buffer, b"", False
+        self._suffix = data[len(name) :]
         self.asked_for = WORDS[name]
 
     def feed(self, data: bytes) -> list[Event]:
         """Take received bytes; at most one question is answered by them."""
+        if self._given_up:
+            raw, self._given_up = self._given_up, b""
+            return [Reject(raw, "answer", "an answer that did not end before the next question"), *self.feed(data)]
         self._buffer += data
         word = self.asked_for
         if word is None:
@@ -141,8 +171,10 @@ class Answers:
             return []
         skipped = len(self._buffer) - len(rest)
         length = self._flag_length(rest) if word.parse is None else self._line_length(rest)
+        if (len(rest) if length is None else length) > LONGEST:
+            return self._too_long()
         if length is None:
-            return self._too_long() if len(rest) > LONGEST else []
+            return []
         raw, self._buffer = self._buffer[: skipped + length], self._buffer[skipped + length :]
         self.asked_for = None
         self._may_follow = word.parse is None and not raw.endswith(self._suffix)
@@ -150,7 +182,7 @@ class Answers:
 
     def end(self) -> list[Reject]:
         """Return what is left in the buffer; the suffix of a yes or no is nothing."""
-        left, self._buffer = self._buffer, b""
+        left, self._buffer, self._given_up = self._given_up + self._buffer, b"", b""
         if not left or (self._may_follow and left == self._suffix):
             return []
         asked = f"the answer to {self.asked_for.name}" if self.asked_for else "nothing that was asked"
@@ -192,7 +224,7 @@ class Answers:
             if word.parse is None:
                 value: object = FLAGS[told] if told in FLAGS else _no_flag(told)
             else:
-                value = word.parse(told.removesuffix(self._suffix).decode(), self._axes)
+                value = word.parse(word.told_in(told.removesuffix(self._suffix).decode()), self._axes)
         except UnicodeDecodeError:
             return Reject(raw, "encoding", f"the answer to {word.name} is no UTF-8")
         except BadAnswerError as error:
@@ -205,10 +237,12 @@ class Answers:
         if not rest:
             return []
         raw, self._buffer = self._buffer, b""
-        return [
-            Reject(raw, "unrequested", f"{len(rest)} bytes that no question asked for"),
-            Refused("bytes came that no question asked for", "out_of_step"),
-        ]
+        told = self._strange(rest)
+        return [Reject(raw, "unrequested", told), Refused(told, "out_of_step")]
+
+    def _strange(self, rest: bytes) -> str:
+        shown = rest if len(rest) <= _SHOWN else rest[:_SHOWN] + b"..."
+        return f"{shown!r} came, which no question asked for: is the suffix {self._suffix.decode()!r}?"
 
     def _too_long(self) -> list[Event]:
         raw, self._buffer = self._buffer, b""
@@ -219,7 +253,7 @@ class Answers:
 
 
 def _no_flag(told: bytes) -> object:
-    raise BadAnswerError(f"{told[:40]!r} is neither true nor false")
+    raise BadAnswerError(f"{told[:_SHOWN]!r} is neither true nor false")
 
 
 @dataclass(slots=True)
@@ -238,16 +272,14 @@ class Learned:
     strikes: Counter[str] = field(default_factory=Counter)
     dropped: list[str] = field(default_factory=list)
 
-    def unanswered(self, word: str, *, in_time: bool) -> None:
-        """A session has ended over a word; one that was never answered is soon asked no more.
+    def unanswered(self, word: str) -> None:
+        """A session that answered other words has ended over one; the second time it is asked no more.
 
-        Args:
-            word: The word.
-            in_time: Whether it ended before an answer was overdue: the controller may have gone for another reason.
+        Not the first time: the controller may have gone just then, for another reason.
         """
         if word in self.answered:
             return
-        self.strikes[word] += 1 if in_time else _STRIKES
+        self.strikes[word] += 1
         if self.strikes[word] >= _STRIKES:
             self.rota.drop(word)
             self.dropped.append(word)
@@ -277,12 +309,14 @@ class ExternalDecoder(Answers):
         self._timeout_s = options.timeout_s
         self._patience = math.ceil(options.timeout_s * rate_hz)
         self._waited = 0
+        self._fed = False
         self._heard = False
         self.notes = learned.notes()
 
     def feed(self, data: bytes) -> list[Event]:
         """Take received bytes; the outstanding question may be answered by them."""
         word = self.asked_for
+        self._fed = True
         events = super().feed(data)
         if word is not None and self.asked_for is None:
             self._waited = 0
@@ -291,20 +325,23 @@ class ExternalDecoder(Answers):
         return events
 
     def end(self) -> list[Reject]:
-        """The session ends: a word that is never answered, where others are, is asked no more."""
-        if self.asked_for is not None and self._heard:
-            self._learned.unanswered(self.asked_for.name, in_time=self._waited <= self._patience)
-            self._heard = False
+        """The session ends: a word to which nothing ever comes, where others are answered, is asked no more."""
+        if self.asked_for is not None and self._heard and not self.pending:
+            self._learned.unanswered(self.asked_for.name)
+        self._heard = False
         return super().end()
 
     def tick(self) -> bytes | Refused:
         """Return the next question; b"" while one is outstanding, or where none is due."""
+        fed, self._fed = self._fed, False
         if self.asked_for is not None or self.pending:
+            if fed:  # it is bytes that wake an overdue tick, not only time; who sends for ever meets the stale deadline
+                return b""
             self._waited += 1
             if self.asked_for is not None and self._waited > self._patience:
                 return Refused(self._unanswered(self.asked_for), "out_of_step")
             if self.asked_for is None and self._waited > _GRACE_TICKS:
-                return Refused(f"{self.pending} bytes came that no question asked for", "out_of_step")
+                return Refused(self._strange(self._behind_suffix() or b""), "out_of_step")
             return b""
         self._waited = 0
         name = self._learned.rota.next()

@@ -18,7 +18,8 @@ CART_POS = 10  # x y z, a b c, q1 to q4
 LONGEST = 4096  # bytes of an answer; the longest of the manual, ten numbers, has some 200
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_NUMBERS = re.compile(rf"\s*(?:[A-Za-z_]+\s*:\s*)?({_NUMBER}(?:[\s,;\u3001]+{_NUMBER})*)[\s,;\u3001]*")
+_NUMBERS = re.compile(rf"\s*({_NUMBER}(?:[\s,;\u3001]+{_NUMBER})*)[\s,;\u3001]*")
+_PREFIX = re.compile(r"\s*([A-Za-z_]+)\s*:")  # of the forms of a word that name it
 _SEPARATOR = re.compile(r"[\s,;\u3001]+")
 _HIGHEST = 1e9  # no joint, length, speed or torque is beyond
 
@@ -55,9 +56,9 @@ def _pose(text: str, _axes: int) -> list[float]:
 
 
 def _text(text: str, _axes: int) -> str | None:
-    if not text.isprintable():
+    if not all(character.isprintable() or character.isspace() for character in text):
         raise BadAnswerError(f"{_shown(text)} is no text that can be printed")
-    return None if text.strip() == "null" else text.strip()
+    return None if text.strip() in {"", "null"} else text.strip()
 
 
 def _shown(text: str) -> str:
@@ -79,6 +80,19 @@ class Word:
     value: Value
     parse: Parse | None = None
     wish_hz: float = 0.0
+
+    def told_in(self, text: str) -> str:
+        """An answer without the prefix that may name its word: `Jnt_vel : `.
+
+        Raises:
+            BadAnswerError: It names another word.
+        """
+        found = None if self.value.type is str else _PREFIX.match(text)
+        if found is None:
+            return text
+        if found[1].lower() != self.name:
+            raise BadAnswerError(f"{_shown(text)} is the answer to another word")
+        return text[found.end() :]
 
 
 def _flag(name: str, meaning: str, wish_hz: float) -> Word:

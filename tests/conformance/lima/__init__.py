@@ -101,7 +101,7 @@ class LinesDecoder:
             return Skipped(raw, "hello")
         if not self.ready:
             raise ValueError("no hello came")
-        if kind not in ("state", "alarm", "issued"):  # noqa: PLR6201 - it may be anything, a list too
+        if kind not in ("state", "alarm", "issued"):  # it may be of any type
             return Skipped(raw, "unknown")
         self._numbers.take(msgspec.convert(told.get("seq"), Annotated[int, Meta(ge=1, le=1 << 53)]))
         if kind == "issued":

@@ -36,7 +36,9 @@ def vendor_values(found: Frame) -> dict[str, object]:
 
 def told(events: list[Event]) -> list[object]:
     return [
-        (event.layout.name, event.raw) if isinstance(event, Frame) else (event.reason, getattr(event, "raw", b""))
+        (event.layout.name, event.raw)
+        if isinstance(event, Frame)
+        else (getattr(event, "reason", ""), getattr(event, "raw", b""))
         for event in events
     ]
 

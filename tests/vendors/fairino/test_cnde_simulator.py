@@ -54,7 +54,7 @@ def robot(port: int, transport: Transport, states: Sequence[str] = ()) -> RobotS
         protocol=CNDE,
         rate_hz=None,
         stale_s=1.0,
-        options=CndeOptions(transport=transport, states=tuple(states)),
+        options=CndeOptions(transport="udp" if transport == "udp" else "tcp", states=tuple(states)),
     )
 
 

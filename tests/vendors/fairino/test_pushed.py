@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import pytest
 
 from gateway.api.decoder import Event, Frame, Reject
+from gateway.api.framing import FramedDecoder
 from gateway.api.layout import Layout
 from gateway.api.model import Quality
 from gateway.api.vendor import Protocol
@@ -108,6 +109,7 @@ def test_a_byte_sum_above_65535_is_reduced_to_16_bits() -> None:
 def test_half_a_frame_and_then_silence_gives_nothing(stream: Stream) -> None:
     protocol, (a, b, _, _) = stream
     decoder = protocol.reader()
+    assert isinstance(decoder, FramedDecoder)
     assert frames(decoder.feed(a + b[: len(b) // 2])) == [a]
     assert decoder.pending == len(b) // 2
     (left,) = decoder.end()
@@ -143,6 +145,7 @@ def test_an_unknown_size_is_decoded_as_far_as_known_and_uncertain(total: int) ->
     assert isinstance(event, Frame)
     assert event.quality is Quality.UNCERTAIN
     assert str(total) in event.layout.name or total > 2075
+    assert isinstance(event.layout, Layout)
     assert event.layout.size <= total - 2
 
 
@@ -156,6 +159,7 @@ def test_every_known_size_has_its_own_layout(layout: Layout) -> None:
 
 def test_the_counter_stands_behind_the_start_bytes(stream: Stream) -> None:
     protocol, found = stream
+    assert protocol.framing is not None
     at = protocol.framing.counter_at
     assert at is not None
     assert [raw[at] for raw in found] == [0, 1, 2, 3]

@@ -11,6 +11,7 @@ import pytest
 
 from gateway.api.decoder import Frame, Skipped
 from gateway.api.framing import FramedDecoder
+from gateway.api.layout import Layout
 from gateway.sim.scenario import Fault, FaultKind, Phase, Scenario, find_scenario
 from gateway.sim.simulator import VirtualRobot
 from vendors.rainbow import FRAMING
@@ -85,6 +86,7 @@ def test_frames_of_every_length_are_accepted_by_the_decoder(size: int) -> None:
     (event,) = FramedDecoder(FRAMING).feed(sent)
     assert isinstance(event, Frame)
     assert len(event.raw) == size
+    assert isinstance(event.layout, Layout)
     assert event.layout.size == min(size, 580)
 
 

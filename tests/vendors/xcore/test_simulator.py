@@ -48,6 +48,14 @@ def test_the_ports_are_ours_and_external_communication_comes_first() -> None:
     assert [(port.protocol, port.port) for port in SIMULATOR.ports] == [("external", 4320), ("objects", 5920)]
 
 
+def test_a_demo_reads_it_in_three_ways_with_the_settings_that_it_has() -> None:
+    assert [demo.protocol for demo in SIMULATOR.demos] == ["external", "objects", "external"]
+    usual = {"port": 4320, "estop_polarity": "active_high", "external": {"torque_unit": "Nm"}}
+    assert (SIMULATOR.keys("external"), SIMULATOR.keys("objects")) == (usual, {})
+    assert SIMULATOR.demos[2].robot["external"] == {"torque_unit": "Nm", "role": "server"}
+    assert (XcoreOptions().estop_level, XcoreOptions().torque_unit) == ("high", "Nm")
+
+
 def test_every_option_has_a_default_and_a_description() -> None:
     assert isinstance(SIMULATOR.options(), XcoreOptions)
     rows = msgspec.json.schema(XcoreOptions)["$defs"]["XcoreOptions"]["properties"]

@@ -17,6 +17,9 @@ from vendors.xcore.simulator.options import XcoreOptions
 
 EXTERNAL_PORT = 4320
 OBJECTS_PORT = 5920
+# What a gateway must be told of a virtual controller with the usual options.
+_ROBOT = {"port": EXTERNAL_PORT, "estop_polarity": "active_high"}
+_SETTINGS = {"torque_unit": "Nm"}
 
 
 def _calls(options: msgspec.Struct) -> tuple[str, int] | None:
@@ -30,10 +33,8 @@ SIMULATOR = Simulator(
     ),
     options=XcoreOptions,
     demos=(
-        Demo(
-            protocol="external",
-            robot={"port": EXTERNAL_PORT, "estop_polarity": "active_high", "external": {"torque_unit": "Nm"}},
-        ),
+        Demo(protocol="external", robot={**_ROBOT, "external": _SETTINGS}),
         Demo(protocol="objects"),
+        Demo(protocol="external", robot={**_ROBOT, "external": {**_SETTINGS, "role": "server"}}),
     ),
 )
