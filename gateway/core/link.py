@@ -137,7 +137,7 @@ class Link:
         connection = await self._connector.connect()
         self._in_session = True
         try:
-            self._begin_epoch()
+            self._publisher.begin(self._next_epoch(), self._timeline)
             self._enter(LinkState.HANDSHAKING, "connected, waiting for the first frame", layout=None, notes=[])
             self._counters.begin()
             self._first_frame = True
@@ -273,9 +273,9 @@ class Link:
         ago_us = int((self._clock.monotonic() - monotonic_s) * 1e6)
         return self._timeline.now() - ago_us
 
-    def _begin_epoch(self) -> None:
+    def _next_epoch(self) -> str:
         self._epochs += 1
-        self._publisher.begin(f"{self._boot}.{self._epochs}", self._timeline)
+        return f"{self._boot}.{self._epochs}"
 
     async def _count_every_second(self) -> None:
         while True:
@@ -300,7 +300,7 @@ class Link:
         if not jump_us:
             return
         if jump_us < 0:
-            self._begin_epoch()
+            self._publisher.set_back(self._next_epoch())
             for topic in self._own.values():
                 topic.begin_epoch()
         due = self._data.next_attempt

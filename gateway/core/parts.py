@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, replace
 
 from gateway.api.decoder import Frame
 
@@ -50,14 +51,20 @@ class Parts:
         self._parts: dict[str, Part] = {}
         self._told: set[str] = set()
 
+    @property
+    def told(self) -> AbstractSet[str]:
+        """The values that were told in this session, be it that the controller could not tell."""
+        return self._told
+
     def clear(self) -> None:
         """A new session has begun: nothing is known."""
         self._parts.clear()
         self._told.clear()
 
-    def have_come(self, names: Iterable[str]) -> bool:
-        """Whether all of some values were told in this session, be it that the controller could not tell."""
-        return self._told.issuperset(names)
+    def restamp(self, stamp: Callable[[float], int]) -> None:
+        """The wall clock was set: what is known has other times, the oldest first."""
+        in_order = sorted(self._parts.items(), key=lambda item: item[1].at_s)
+        self._parts = {name: replace(part, t=stamp(part.at_s)) for name, part in in_order}
 
     def take(self, frame: Frame, t: int, at_s: float) -> None:
         """Take what a frame tells."""

@@ -96,14 +96,18 @@ class Publisher:
         return self._events
 
     def begin(self, epoch: str, timeline: Timeline) -> None:
-        """A session has begun: its samples have a new epoch."""
-        self._epoch = epoch
+        """A session has begun: its samples have a new epoch, and nothing is known."""
         self._timeline = timeline
-        self._seq = 0
-        self._part_seqs.clear()
         self._parts.clear()
-        self._stream = None
-        self._last = None
+        self._renew(epoch)
+
+    def set_back(self, epoch: str) -> None:
+        """The wall clock was set back inside a session: a new epoch begins, and what is known is said again in it."""
+        last, told = self._last, self._stream is not None
+        self._renew(epoch)
+        if self._timeline is not None and last is not None and told and type(last.frame.layout) is Record:
+            self._parts.restamp(self._timeline.stamp)
+            self._say_parts(self._new_stream(last.frame), last.frame, self._parts.told, self._timeline.now())
 
     @property
     def layout(self) -> Table | None:
@@ -172,6 +176,13 @@ class Publisher:
             )
             self._bus.publish(topic, ValueReading(sample))
 
+    def _renew(self, epoch: str) -> None:
+        self._epoch = epoch
+        self._seq = 0
+        self._part_seqs.clear()
+        self._stream = None
+        self._last = None
+
     def _new_stream(self, frame: Frame) -> FrameStream:
         readers = self._normaliser.readers(frame.layout)
         self._layout = frame.layout
@@ -237,7 +248,7 @@ class Publisher:
         return frozenset(
             key
             for key, sources in self._edge_sources.items()
-            if key.startswith(f"{group}.") and not self._parts.have_come(sources)
+            if key.startswith(f"{group}.") and not self._parts.told >= set(sources)
         )
 
     def _publish_state(self, state: _State, reading: FrameReading, t: int) -> None:

@@ -56,7 +56,7 @@ def cut_lines_tell_nothing(subject: Subject) -> None:
             where = f"the first {size} bytes of {vector}"
             decoder = opened(subject, vector)
             events = decoder.feed(vector.raw[:size])
-            check_conserved(vector.raw[:size], events, decoder.end(), f"as a stream that ends after {size} bytes")
+            check_conserved(vector.raw[:size], events, decoder.end(), f"up to byte {size} of {vector}", blank=True)
             if any(isinstance(event, (Frame, Occurrence, Skipped)) for event in events):
                 raise CheckFailed(f"{where} are taken for {shown(events)}: wait for the end of the message")
             if end and size < len(vector.raw.rstrip()):
@@ -142,7 +142,7 @@ def _play(subject: Subject, vector: Vector, hurt: bytes, where: str = "") -> lis
         events += decoder.feed(vector.raw)
         stream += vector.raw
     if not any(isinstance(event, Refused) for event in events):
-        check_conserved(stream, events, decoder.end(), f"message by message ({where or vector})")
+        check_conserved(stream, events, decoder.end(), f"message by message ({where or vector})", blank=True)
     return events
 
 
@@ -224,7 +224,7 @@ def _check_cut(subject: Subject, vector: Vector, reference: Event, cut: bytes, w
     if not any(isinstance(event, Refused) for event in events):
         tell(decoder, vector.asked)
         events += decoder.feed(vector.raw)
-        check_conserved(cut + vector.raw, events, decoder.end(), f"cut ({where})")
+        check_conserved(cut + vector.raw, events, decoder.end(), f"cut ({where})", blank=True)
         found = same_place(events, len(cut))
         if not any(isinstance(event, Refused) for event in events) and type(found) is not type(reference):
             raise CheckFailed(f"{where}, then the end of a line: the good message is not found, but {shown(events)}")

@@ -221,7 +221,11 @@ def _follow(subject: Subject, decoder: Decoder, events: list[Event], wanted: byt
         if request:
             answer = _answer(subject, request)
             found = decoder.feed(answer)
-            mixed = [event for event in found if isinstance(event, (Frame, Occurrence)) and event.raw != answer]
+            mixed = [
+                event
+                for event in found
+                if isinstance(event, (Frame, Occurrence)) and event.raw.strip() != answer.strip()
+            ]
             if mixed:
                 raise CheckFailed(
                     f"{where} are told as a part of the next answer: {shown(found)} of {answer!r}: "

@@ -69,17 +69,19 @@ def changes(reference: Frame, frame: Frame) -> set[str]:
 def touched(vector: Vector, hurt: bytes, at: int, reference: Frame, frame: Frame) -> set[str]:
     """The names whose values damage at one byte may change.
 
-    In JSON those of the members around it, before or after, and those that no member has; never one that was not there
-    and that the damage does not write. In other text all that were there.
+    In JSON those of the members around it, before or after, those that hold such a member, and those that no member has
+    the name of; never one that was not there and that the damage does not write. In other text all that were there.
     """
     if not is_json(vector):
         return set(reference.values)
     around = members_at(vector.raw, at) | members_at(hurt, at) | members_at(hurt, at - 1)
     members = {name for _, _, name in _members(vector.raw)}
     made = {name for name in reference.values if members.isdisjoint(name.split("."))}
-    return made | {
-        name for name in {*reference.values, *frame.values} if not around.isdisjoint([name, *name.split(".")])
+    holding = {
+        name for name, value in (*reference.values.items(), *frame.values.items()) if around & set(_names(plain(value)))
     }
+    named = {name for name in {*reference.values, *frame.values} if not around.isdisjoint([name, *name.split(".")])}
+    return made | holding | named
 
 
 def members_at(raw: bytes, at: int) -> set[str]:
@@ -113,6 +115,14 @@ def _members(raw: bytes) -> Iterator[tuple[int, int, str]]:
                 above.append((bracket, 0, None))
         elif word.startswith(b'"') and bracket == b"{" and above[-1][2] is None:
             above[-1] = (bracket, token.start(), _text(word))
+
+
+def _names(value: object) -> Iterator[str]:
+    """The names of all members inside a value."""
+    if isinstance(value, dict):
+        yield from value
+    for below in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        yield from _names(below)
 
 
 def _text(word: bytes) -> str:

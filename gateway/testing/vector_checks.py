@@ -168,7 +168,7 @@ def _frame_differences(subject: Subject, vector: Vector, frame: Frame) -> list[s
     if (frame.layout.name, frame.quality) != (vector.layout, vector.quality):
         raise CheckFailed(
             f"{vector} is read as layout {frame.layout.name}, {frame.quality}; it says {vector.layout}, "
-            f"{vector.quality}: correct the framing's kinds, or the vector",
+            f"{vector.quality}: correct the framing's kinds or the record, or the vector",
         )
     readings = read_groups(subject.normaliser(vector.options), frame)
     lines = differences(vector.vendor, readings["vendor"].data, "vendor", whole=False)

@@ -41,11 +41,17 @@ from gateway.api.signals import Signal
 from gateway.server.fields import has, vendor_shape
 
 
+class Maker(msgspec.Struct, frozen=True):
+    """A struct inside a struct."""
+
+    name: str | None = None
+
+
 class Tool(msgspec.Struct, frozen=True):
     """A struct inside a value."""
 
     mass: float | None = None
-    parent: Tool | None = None
+    maker: Maker | None = None
 
 
 class Key(msgspec.Struct, frozen=True):
@@ -89,7 +95,7 @@ AS_TOLD = {
     "inputs": [True, False],
     "raw_in": [1.5],
     "keys": {"a": Key(pressed=True, tool=Tool(mass=1.0))},
-    "tool": Tool(parent=Tool()),
+    "tool": Tool(maker=Maker("x")),
     "faults": [Fault("7")],
     "count": 1,
 }
@@ -424,23 +430,14 @@ def test_the_schema_of_the_vendor_group_is_valid_and_the_group_obeys_it() -> Non
     properties = cast("dict[str, dict[str, object]]", schema["properties"])
     assert properties["speed"]["unit"] == "mm/s"
     assert "unit" not in properties["mode"]
-    assert set(cast("dict[str, object]", properties["keys"]["$defs"])) == {"Key", "Tool"}
+    assert set(cast("dict[str, object]", properties["keys"]["$defs"])) == {"Key", "Maker", "Tool"}
     assert all(part["description"] for part in properties.values())
 
 
-@pytest.mark.parametrize("wrong", [{"tool": {"parent": {"mass": "x"}}}, {"keys": {"a": {"pressed": 1}}}, {"line": "3"}])
+@pytest.mark.parametrize("wrong", [{"tool": {"maker": {"name": 1}}}, {"keys": {"a": {"pressed": 1}}}, {"line": "3"}])
 def test_the_schema_refuses_what_is_of_another_type_also_inside_structs(wrong: dict[str, object]) -> None:
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.Draft202012Validator(vendor_schema(RECORD)).validate(wrong)
-
-
-@pytest.mark.parametrize("name", ["a/b", "a~b", "a%b", "a{b}", "ä b"])
-def test_a_struct_under_a_name_with_odd_characters_is_still_found(name: str) -> None:
-    record = Record(name="odd", source="x", fields=(Value(name=name, type=Tool, meaning="x"),))
-    validator = jsonschema.Draft202012Validator(vendor_schema(record))
-    validator.validate({name: {"mass": 1.0}})
-    with pytest.raises(jsonschema.ValidationError):
-        validator.validate({name: {"mass": "x"}})
 
 
 def test_a_topic_is_described_with_sources_units_and_what_is_never_told() -> None:
@@ -463,7 +460,7 @@ def test_a_topic_is_described_with_sources_units_and_what_is_never_told() -> Non
         ("speed", True),
         ("tool.mass", True),
         ("keys.any.pressed", True),
-        ("keys.any.tool.mass", True),
+        ("keys.any.tool.maker.name", True),
         ("keys.any", True),
         ("faults", True),
         ("speed.x", False),
@@ -474,30 +471,7 @@ def test_a_topic_is_described_with_sources_units_and_what_is_never_told() -> Non
     ],
 )
 def test_fields_may_name_what_is_inside_structs_and_mappings(path: str, *, known: bool) -> None:
-    flat = dataclasses.replace(RECORD, fields=tuple(v for v in RECORD.fields if v.name != "tool"))
-    tool = Record(name="tool", source="x", fields=(Value(name="tool", type=Flat, meaning="x"),))
-    keys = Record(name="keys", source="x", fields=(Value(name="keys", type=dict[str, FlatKey], meaning="x"),))
-    rest = dataclasses.replace(flat, fields=tuple(v for v in flat.fields if v.name != "keys"))
-    assert has(vendor_shape([rest, tool, keys]), path.split(".")) is known
-
-
-class Flat(msgspec.Struct, frozen=True):
-    """A tool that has none inside."""
-
-    mass: float | None = None
-
-
-class FlatKey(msgspec.Struct, frozen=True):
-    """A key with such a tool."""
-
-    pressed: bool
-    tool: Flat
-
-
-def test_a_type_that_holds_itself_has_paths_of_one_round() -> None:
-    shape = vendor_shape([RECORD])
-    assert has(shape, ["tool", "mass"])
-    assert has(shape, ["keys", "any", "tool"])
+    assert has(vendor_shape([RECORD]), path.split(".")) is known
 
 
 def test_enumerations_come_through_a_function() -> None:

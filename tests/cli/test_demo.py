@@ -133,7 +133,8 @@ async def test_on_a_terminal_it_shows_live_data_and_ctrl_c_ends_it_cleanly(colum
     assert row.split()[2] == "ONLINE"
     assert row.split()[-2:] == ["RUNNING", "NORMAL"]
     assert re.search(r"^r1  joints( +-?\d+\.\d{3}){6} rad$", text, re.MULTILINE)
-    assert re.search(r"^    tcp   ( +-?\d+\.\d{3}){3} m$", text, re.MULTILINE)
+    if lines > 30:  # on a small terminal eight robots leave room for one line each
+        assert re.search(r"^    tcp   ( +-?\d+\.\d{3}){3} m$", text, re.MULTILINE)
     assert re.search(r"^ws://127\.0\.0\.1:\d+/ws   \d+ events so far   Ctrl-C ends it$", text, re.MULTILINE)
     assert "Traceback" not in "\n".join(screen.display)
 

@@ -186,12 +186,12 @@ def test_a_broken_vendor_is_listed_and_says_what_is_wrong(folder: Path, vendor: 
     assert says in " ".join(result.output.split())
     listed = call(folder, "--help", columns=80)
     assert listed.exit_code == 0
-    assert f"  {vendor}  Cannot be used: " in listed.stdout
+    assert f" {vendor} Cannot be used: " in " ".join(listed.stdout.split())
 
 
 def test_help_lists_the_vendors_that_have_documents_and_fits_80_columns(folder: Path) -> None:
     result = call(folder, "--help", columns=80)
-    assert "  kilo  Check a file of kilo objects" in result.stdout
+    assert " kilo Check a file of kilo objects" in " ".join(result.stdout.split())
     assert "  rainbow  " not in result.stdout
     assert max(map(len, result.stdout.splitlines())) <= 80
     one = call(folder, "kilo", "--help", columns=80).stdout

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import msgspec
+
 from gateway.api.model import Fault, Severity
 from vendors.xcore.stream_record import Entry
 
 _SEVERITIES = {"warning": Severity.WARNING, "error": Severity.ERROR}
 # What an entry of the log is about is over when the robot, having stood still, does one of these again.
-_AT_WORK = {"jog", "jogging", "moving", "rlProgram", "rtControlling", "demo"}
+_AT_WORK = {"jogging", "moving", "rlProgram", "rtControlling", "demo"}
 MOST = 16
 
 
 class LogFaults:
     """The faults of one session.
 
-    An entry of level error or warning, or of none, stands from when it comes until the robot works again after it has
-    not. Before the first evidence of either kind nothing is known: `standing` is None.
+    An entry stands, but for one of level info, from when it comes until the robot works again after it has not. Before
+    the first evidence of either kind nothing is known: `standing` is None. A warning that does not hinder the robot is
+    over by this too early, and comes back when the controller repeats it; one of a robot that never rests stays.
 
     Attributes:
         standing: The faults, newest last; None: not known.
@@ -27,7 +30,7 @@ class LogFaults:
 
     def take(self, entry: Entry) -> bool:
         """Take an entry of the log; whether the faults have changed."""
-        if entry.level is not None and entry.level not in _SEVERITIES:
+        if entry.level == "info":
             return False
         log = entry.log
         fault = Fault(
@@ -39,10 +42,14 @@ class LogFaults:
         )
         self._stood_still = False
         before = self.standing or []
-        if any(fault.key == known.key for known in before):
+        if fault in before:
             return False
-        self.standing = [*before, fault][-MOST:]
-        return True
+        again = [known for known in before if known.key == fault.key]
+        if again:  # repeated, with its text this time, or without
+            self.standing = [_richer(known, fault) if known in again else known for known in before]
+        else:
+            self.standing = [*before, fault][-MOST:]
+        return self.standing != before
 
     def observe(self, operation_state: str) -> bool:
         """Take what the robot is busy with; whether the faults have changed."""
@@ -53,3 +60,9 @@ class LogFaults:
             return False
         self.standing = []
         return True
+
+
+def _richer(known: Fault, again: Fault) -> Fault:
+    """A fault with all that two entries of it tell; the newer word counts."""
+    told = {name: getattr(again, name) for name in ("severity", "text", "remedy") if getattr(again, name) is not None}
+    return msgspec.structs.replace(known, **told)

@@ -5,6 +5,7 @@ The gateway only listens; what it may ask besides are reading commands, each ans
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, cast
 
@@ -33,7 +34,17 @@ _OBJECTS = {"cartPosture": "CartesianPosition", "keypad": "KeyPadState", "toolse
 _PER_AXIS = ("jointPos", "jointVel", "jointTorque")
 _HELD = {"collided", "rlExecution", "connected", "log", "faults"}
 _STATE = frozenset(RECORD.by_name) - _HELD - {"ts", "toolset"}
-Wish = Annotated[float, Meta(gt=0, le=10, description="How often it is asked, in Hz.")]
+_LATEST_US = 253_402_300_800_000_000  # the year 10000
+_MOST = 2**53  # a number of messages beyond this is none
+_WORD = (-(2**63), 2**64)  # whole numbers that every encoding can carry
+_LONG = re.compile(rb"[\[:,\s-]\d{19}")  # what may be a whole number beyond
+_SHOWN = 160  # characters of the agent's own words in a message
+Wish = Annotated[
+    float,
+    Meta(
+        ge=0.5, le=10, description="How often it is asked, in Hz: a value that is older than stale_s is told no more."
+    ),
+]
 Json = Mapping[str, object]
 
 
@@ -43,8 +54,8 @@ class ObjectsOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     ask: Annotated[
         dict[str, Wish],
         Meta(
-            description="Reading commands that the gateway sends to the agent, each with its rate in Hz; every one is a "
-            f"call of the vendor's SDK. Known: {', '.join(QUESTIONS)}."
+            description="Reading commands that the gateway sends to the agent, each with its rate in Hz; every one is "
+            f"a call of the vendor's SDK. Known: {', '.join(QUESTIONS)}."
         ),
     ] = {}
 
@@ -83,15 +94,17 @@ class ObjectsDecoder:
         self._ticks = self._questions = self._unanswered = 0
         self._held: dict[str, object] = {}  # what events have told, until the next of their kind
         self._refusals: dict[str, str] = {}
-        self._farewell = ""
+        self._farewell = self._bad_hello = ""
         self.ready = False
 
     @property
     def notes(self) -> Sequence[str]:
         """What the operator should know of this session."""
-        found = (
-            [] if self.ready else ["connected, but no hello came: is it the agent of xcore-objects that listens there?"]
-        )
+        found = []
+        if self._bad_hello:
+            found.append(f"the agent's hello cannot be used: {self._bad_hello}")
+        elif not self.ready:
+            found.append("connected, but no hello came: is it the agent of xcore-objects that listens there?")
         if self._farewell:
             found.append(f"the agent closes the connection and says: {self._farewell}")
         if self._held.get("connected") is False:
@@ -125,6 +138,18 @@ class ObjectsDecoder:
     def outgoing(self) -> bytes:
         """Nothing is owed: the agent speaks first."""
         return b""
+
+    def asked(self, data: bytes) -> None:
+        """Take a reading command that was sent, where this decoder only reads.
+
+        Raises:
+            ValueError: It is none.
+        """
+        message = _parsed(data.strip())
+        identifier, name = message.get("id"), message.get("name")
+        if not isinstance(identifier, str) or name not in QUESTIONS:
+            raise ValueError(f"{data[:80]!r} is no reading command whose result is used")
+        self._asked[identifier] = (str(name), self._ticks)
 
     def tick(self) -> bytes | Refused:
         """Ask what is due, one question at a time for each name; give up what is not answered."""
@@ -166,33 +191,45 @@ class ObjectsDecoder:
             return self._closing(raw, message)
         if not self.ready:
             raise BadMessageError("no_hello", f"a message {kind[:40]!r} before the hello")
-        self._count(kind, message)
         handler = _HANDLERS.get(kind)
-        return [Skipped(raw, "unknown type")] if handler is None else handler(self, raw, message)
+        try:
+            self._count(kind, message, known=handler is not None)
+            return [Skipped(raw, "unknown type")] if handler is None else handler(self, raw, message)
+        except BadMessageError as error:
+            if not _tells_of_commands(message):
+                raise
+            missed = Entry(EventKind.COMMAND_MISSED, CommandsMissed(count=_n_commands(message)), _raw(message))
+            return [Reject(raw, error.reason, str(error)), Occurrence(b"", (missed,))]
 
-    def _count(self, kind: str, message: Json) -> None:
-        """Follow the number of a message; results have none."""
+    def _count(self, kind: str, message: Json, *, known: bool) -> None:
+        """Follow the number of a message; results have none, and messages of a later agent may have none."""
         if kind == "result":
             return
         number = message.get("seq")
-        if type(number) is not int or number < 1:
-            raise BadMessageError("value", f"{kind}: seq is {number!r}, not a whole number from 1 on")
-        self._numbers.take(number)
+        if type(number) is int and 1 <= number <= _MOST:
+            self._numbers.take(number)
+        elif known:
+            raise BadMessageError("value", f"{kind}: seq is {_short(number)}, not a whole number from 1 on")
 
     def _hello(self, raw: bytes, message: Json) -> list[Event]:
         schema = message.get("schema")
         if self.ready:
             raise BadMessageError("hello", "a second hello in one connection")
         if schema != SCHEMA:
-            told = f"it speaks {str(schema)[:60]!r}, this gateway {SCHEMA!r}: use an agent of the same version"
+            told = f"it speaks {_short(schema)}, this gateway {SCHEMA!r}: use an agent of the same version"
             return [Skipped(raw, "hello"), Refused(told, "incompatible")]
         units = message.get("units")
         if not isinstance(units, Mapping) or any(units.get(name) != unit for name, unit in UNITS.items()):
-            told = f"its units are {str(units)[:120]}, those of {SCHEMA} are {UNITS}"
+            told = f"its units are {_short(units)}, those of {SCHEMA} are {UNITS}"
             return [Skipped(raw, "hello"), Refused(told, "incompatible")]
         info = message.get("info")
-        if info is not None:
-            self._info = cast("Info", _object("info", "Info", info))
+        try:
+            self._info = None if info is None else cast("Info", _object("info", "Info", info))
+        except BadMessageError as error:
+            self._bad_hello = str(error)
+            raise
+        self._bad_hello = ""
+        self._numbers.take(0)  # messages are numbered from 1
         self.ready = True
         return [Skipped(raw, "hello")]
 
@@ -225,20 +262,25 @@ class ObjectsDecoder:
             values = self._values(message, {"connected": data.get("connected")})
             if values["connected"] is not False:
                 return self._hold(raw, values)
-            forgotten = dict.fromkeys((*_STATE, *self._held))
+            forgotten = dict.fromkeys(_STATE | _HELD | {"toolset"})
             self._held.clear()
+            self._faults = LogFaults()
             return self._hold(raw, {**forgotten, **values})
         return [Skipped(raw, "unknown event")]
 
     def _hold(self, raw: bytes, values: dict[str, object]) -> list[Event]:
         """A frame of what an event tells; it stays so until the next one, so every state tells it again."""
-        self._held.update({name: value for name, value in values.items() if name in _HELD and value is not None})
+        for name in _HELD & values.keys():
+            if values[name] is None:
+                self._held.pop(name, None)
+            else:
+                self._held[name] = values[name]
         return [Frame(raw, RECORD, values=values)]
 
     def _log(self, raw: bytes, message: Json) -> list[Event]:
         level = message.get("level")
         if level is not None and not isinstance(level, str):
-            raise BadMessageError("value", f"log: level is {level!r}, not info, warning, error or null")
+            raise BadMessageError("value", f"log: level is {_short(level)}, not info, warning, error or null")
         entry = LogEntry(level, cast("LogInfo", _object("log", "LogInfo", message.get("log"))))
         values = self._values(message, {})
         values["log"] = entry
@@ -249,16 +291,15 @@ class ObjectsDecoder:
     def _issued(self, raw: bytes, message: Json) -> list[Event]:
         kind, commands, name = message.get("class"), message.get("commands"), message.get("cmdID")
         axes = None if self._info is None else self._info.joint_num
-        wrong = list_problems_of(kind, commands, axes=axes)
         if not isinstance(name, str):
             raise BadMessageError("value", "issued: cmdID is no text")
+        wrong = list_problems_of(kind, commands, axes=axes)
         if wrong or not isinstance(kind, str) or not isinstance(commands, list):
-            lost = len(commands) if isinstance(commands, list) else 1
-            missed = Entry(EventKind.COMMAND_MISSED, CommandsMissed(count=max(1, lost)), _raw(message))
-            told = f"issued {name}: {wrong[0] if wrong else 'no commands'}"
-            return [Reject(raw, "command", told), Occurrence(b"", (missed,))]
+            raise BadMessageError("command", f"issued {name[:40]}: {wrong[0] if wrong else 'no list of commands'}")
         first = _count_of(message, "firstIndex", 0)
         source, total = _raw(message), _count_of(message, "total", first + len(commands))
+        if total < first + len(commands):
+            raise BadMessageError("command", f"issued {name[:40]}: total is {total}, but {first + len(commands)} came")
         kind = kind if kind.endswith("Command") else f"{kind}Command"
         return [
             Occurrence(
@@ -276,20 +317,18 @@ class ObjectsDecoder:
 
     def _lost(self, raw: bytes, message: Json) -> list[Event]:
         count = message.get("count")
-        if type(count) is not int or count < 1:
-            raise BadMessageError("value", f"lost: count is {count!r}, not a whole number from 1 on")
+        if type(count) is not int or not 1 <= count <= _MOST:
+            raise BadMessageError("value", f"lost: count is {_short(count)}, not a whole number from 1 on")
         return [Occurrence(raw, (Entry(EventKind.COMMAND_MISSED, CommandsMissed(count=count), _raw(message)),))]
 
     def _result(self, raw: bytes, message: Json) -> list[Event]:
         asked = self._asked.pop(str(message.get("id")), None)
         if asked is None:
-            told = f"a result for {str(message.get('id'))[:40]!r}, which nobody waits for"
-            raise BadMessageError("unrequested", told)
+            raise BadMessageError("unrequested", f"a result for {_short(message.get('id'))}, which nobody waits for")
         name = asked[0]
         if message.get("ok") is not True:
-            self._refusals[name] = str(message.get("error") or f"ec {message.get('ec')}, {message.get('message')}")[
-                :160
-            ]
+            why = message.get("error") or f"ec {message.get('ec')}, {message.get('message')}"
+            self._refusals[name] = str(why)[:_SHOWN]
             return [Skipped(raw, f"result of {name}: refused")]
         self._refusals.pop(name, None)
         return [Frame(raw, RECORD, values=self._values({}, {name: message.get("value")}))]
@@ -309,18 +348,14 @@ class ObjectsDecoder:
                 found[name] = RECORD.convert(name, value)
             except ValueError as error:
                 raise BadMessageError("value", str(error)) from None
-        ts = message.get("ts")
-        if type(ts) is int and 0 < ts < _LATEST_US:
-            found["ts"] = ts
+        if _is_time(message.get("ts")):
+            found["ts"] = message["ts"]
         return found
 
     def _check_axes(self, name: str, value: object) -> None:
         axes = None if self._info is None else self._info.joint_num
         if axes is not None and isinstance(value, list) and len(value) != axes:
             raise BadMessageError("value", f"{name}: {len(value)} values for a robot of {axes} axes")
-
-
-_LATEST_US = 253_402_300_800_000_000  # the year 10000
 
 
 def _parsed(text: bytes) -> Json:
@@ -330,7 +365,32 @@ def _parsed(text: bytes) -> Json:
         raise BadMessageError("json", str(error)) from None
     if not isinstance(message, dict):
         raise BadMessageError("json", f"{text[:40]!r} is no JSON object")
+    if _LONG.search(text) and not _encodes(message):
+        raise BadMessageError("json", f"it holds a whole number outside of {_WORD[0]} to {_WORD[1] - 1}")
     return message
+
+
+def _encodes(value: object) -> bool:
+    """Whether all whole numbers inside fit into 64 bits."""
+    if isinstance(value, dict):
+        return all(map(_encodes, value.values()))
+    if isinstance(value, list):
+        return all(map(_encodes, value))
+    return not isinstance(value, int) or _WORD[0] <= value < _WORD[1]
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…"
+
+
+def _is_time(ts: object) -> bool:
+    return type(ts) is int and 0 < ts < _LATEST_US
+
+
+def _tells_of_commands(message: Json) -> bool:
+    """Whether the message, could it be read, would tell something on the topic of the commands."""
+    return message.get("type") in {"issued", "lost"} or message.get("event") == "moveExecution"
 
 
 def _object(name: str, kind: str, value: object) -> object:
@@ -352,11 +412,14 @@ def _feedback(message: Json, data: Json) -> Entry:
         raise BadMessageError("value", "moveExecution: wayPointIndex is a whole number, reachTarget true or false")
     if not all(one is None or isinstance(one, str) for one in (told, custom)):
         raise BadMessageError("value", "moveExecution: remark and customInfo are texts")
+    error = _failure(data.get("error"))
+    if not _is_plain(error):
+        raise BadMessageError("value", "moveExecution: error is no text, number, or object of them")
     feedback = CommandFeedback(
         id=cast("str", data["cmdID"]),
         index=index,
         reached=reached,
-        error=_failure(data.get("error")),
+        error=error,
         text=cast("str | None", told) or None,
         custom=cast("str | None", custom),
     )
@@ -375,13 +438,31 @@ def _count_of(message: Json, name: str, otherwise: int) -> int:
         BadMessageError: It is none.
     """
     told = message.get(name, otherwise)
-    if type(told) is not int or told < 0:
-        raise BadMessageError("value", f"{name} is {told!r}, not a whole number from 0 on")
+    if type(told) is not int or not 0 <= told <= _MOST:
+        raise BadMessageError("value", f"{name} is {_short(told)}, not a whole number from 0 on")
     return told
 
 
+def _n_commands(message: Json) -> int:
+    """How many command objects a list holds that cannot be read; of any other message one."""
+    commands = message.get("commands")
+    return max(1, len(commands)) if message.get("type") == "issued" and isinstance(commands, list) else 1
+
+
+def _is_plain(value: object) -> bool:
+    """Whether it is a scalar, or an object of scalars."""
+    parts = value.values() if isinstance(value, Mapping) else (value,)
+    return all(part is None or isinstance(part, str | int | float) for part in parts)
+
+
 def _raw(message: Json) -> dict[str, object]:
-    return {name: message[name] for name in ("seq", "ts") if name in message}
+    """The number and the time of a message, as far as they are such."""
+    found: dict[str, object] = {}
+    if type(message.get("seq")) is int:
+        found["seq"] = message["seq"]
+    if _is_time(message.get("ts")):
+        found["ts"] = message["ts"]
+    return found
 
 
 _HANDLERS: dict[str, Callable[[ObjectsDecoder, bytes, Json], list[Event]]] = {

@@ -28,6 +28,7 @@ UNITS = {
     "mass": "kg",
     "time": "s",
 }
+Whole = Annotated[int, Meta(ge=-(2**53), le=2**53)]
 Finite = Annotated[float, Meta(ge=-1e9, le=1e9)]
 Joints = Annotated[list[Finite], Meta(min_length=3, max_length=7)]
 SixValues = Annotated[list[Finite], Meta(min_length=6, max_length=6)]
@@ -44,9 +45,9 @@ class Execution(msgspec.Struct, frozen=True):
     """What an RL program is doing: the event rlExecution."""
 
     taskName: str | None = None
-    lookaheadLine: int | None = None
+    lookaheadLine: Whole | None = None
     lookaheadFile: str | None = None
-    executeLine: int | None = None
+    executeLine: Whole | None = None
     executeFile: str | None = None
 
 
@@ -60,7 +61,7 @@ class Entry(msgspec.Struct, frozen=True):
 class ReadError(msgspec.Struct, frozen=True):
     """Why a member could not be read."""
 
-    ec: int = 0
+    ec: Whole = 0
     message: str = ""
 
 

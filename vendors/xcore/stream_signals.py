@@ -23,6 +23,8 @@ from gateway.api.vendor import WallClock
 from vendors.xcore.objects import CartesianPosition, KeyPadState, Toolset
 from vendors.xcore.stream_record import Execution, Posture
 
+# "unknown" is a word of the controller, by which it says that it cannot tell: null.
+_UNKNOWN = "unknown"
 _MODES = {"manual": OperatingMode.MANUAL, "automatic": OperatingMode.AUTOMATIC}
 _POWER = {"on": Power.ENABLED, "off": Power.OFF, "estop": Power.OFF, "gstop": Power.OFF}
 _MOTION = {
@@ -44,15 +46,15 @@ _PROGRAMS = {
     "jogging": ProgramState.STOPPED,
     "drag": ProgramState.STOPPED,
 }
-_BUSY = {*_MOTION, "rlProgram"}
+_NOT_TOLD = {"rlProgram", _UNKNOWN}
 
 
-def _mode(told: str) -> OperatingMode:
-    return _MODES.get(told, OperatingMode.UNKNOWN)
+def _mode(told: str) -> OperatingMode | None:
+    return None if told == _UNKNOWN else _MODES.get(told, OperatingMode.UNKNOWN)
 
 
-def _power(told: str) -> Power:
-    return _POWER.get(told, Power.UNKNOWN)
+def _power(told: str) -> Power | None:
+    return None if told == _UNKNOWN else _POWER.get(told, Power.UNKNOWN)
 
 
 def _drives_powered(told: str) -> bool | None:
@@ -61,7 +63,7 @@ def _drives_powered(told: str) -> bool | None:
 
 def _motion(told: str) -> Motion | None:
     """What the arm does; while an RL program runs, nobody says whether it moves."""
-    return _MOTION.get(told, None if told in _BUSY else Motion.UNKNOWN)
+    return _MOTION.get(told, None if told in _NOT_TOLD else Motion.UNKNOWN)
 
 
 def _program(told: str) -> ProgramState | None:

@@ -25,7 +25,7 @@ from vendors.xcore.simulator.options import XcoreOptions
 BEGIN = datetime(2026, 1, 1, tzinfo=UTC)  # the agent's clock when that of the sessions was at 0
 MOST_BEHIND_S = 2.0  # what happens while nobody reads for longer is lost
 _SETTING = "application"  # key of VirtualRobot.settings
-_KEPT = 50_000  # messages that a slow session may still read
+_KEPT = 24_000  # messages that a session may still read: more than ever happens in MOST_BEHIND_S
 _LOGS_KEPT = 100
 _SLOWEST_MOVE_S = 1.5
 _RL_S = 2.0
