@@ -12,7 +12,7 @@ from gateway.cli.view import duration, spoken
 
 _MEANING = {
     LinkState.DISCONNECTED: "is not connected",
-    LinkState.CONNECTING: "is not connected; the gateway is calling it now",
+    LinkState.CONNECTING: "is not connected; an attempt is under way",
     LinkState.HANDSHAKING: "is connected, but no good frame has come yet",
     LinkState.ONLINE: "is online",
     LinkState.STALE: "has fallen silent",
@@ -24,6 +24,8 @@ _MEANING = {
 _SLOW_SHARE = 0.8
 # More than this share of all that came was no frame: damage, not the odd cut at a reconnect.
 _MANY_REJECTS = 0.01
+# After so many attempts the last loss is what to look at, whatever the next attempt is just doing.
+_AGAIN = 3
 _WRAPPED = 80
 
 _PROBE = "Ask what it speaks: `robot-gateway probe {host}`."
@@ -40,10 +42,14 @@ _STRANGE = "Bytes come, but they are no frames of this protocol."
 _FIRMWARE = "See whether the vendor's README names the controller's firmware: it may be newer."
 _BUSY = "See whether the controller is busy, restarting, or switched off."
 _OPTIONS = "See what the controller says above, and which options the vendor's README has for it."
+_CALLS = "See on the controller which address and port it calls, and whether `host` is the address that it calls from."
+_SETTINGS = "Compare the protocol's options with what is set on the controller: what ends a message above all."
 _WAIT = "Wait a moment and ask again."
 # words of a reason -> what to look at
 _BY_REASON = (
     (r"no answer from|no route|unreachable|timed out", (_NETWORK, _CABLE, _FIREWALL)),
+    (r"no call from", (_CALLS, _CABLE, _FIREWALL)),
+    (r"no answer to", (_SETTINGS, _BUSY)),
     (r"nothing listens|refused", (_SERVICE, _PORT, _PROBE)),
     (r"resolved", (_NAME,)),
     (r"closed the connection|closed by|connection lost|reset", (_RIVAL, _ITS_LOG)),
@@ -132,8 +138,9 @@ def _next(robot: RobotInfo) -> Iterator[str]:
     if link.state is LinkState.FAULTED:
         yield from _next_faulted(robot)
         return
-    reason = link.reason or link.last_error or ""
-    found = next((checks for words, checks in _BY_REASON if re.search(words, reason)), None)
+    again = link.last_error if link.attempts >= _AGAIN else None  # it ends the same way each time
+    said = filter(None, (link.reason or link.last_error, again))
+    found = next((checks for one in said for words, checks in _BY_REASON if re.search(words, one)), None)
     if link.notes:
         yield "Do what stands above: the vendor's plugin knows this case."
     otherwise = (_WAIT,) if link.state in _BUSY_STATES else _DEFAULT

@@ -246,7 +246,7 @@ class Link:
         if delay_s is None:
             delay_s = next(self._delays)
         due = self._timeline.now() + int(delay_s * 1e6)
-        self._off(state, reason, next_attempt=due, notes=list(filter(None, notes)) or self._notes())
+        self._off(state, reason, next_attempt=due, notes=[*filter(None, notes), *self._notes()])
         return delay_s
 
     def _announce_loss(self, state: LinkState, reason: str) -> None:

@@ -76,7 +76,7 @@ class Publisher:
         self._parts = Parts(stale_s)
         self._part_seqs: dict[str, int] = {}
         self._edges = EdgeFinder()
-        self._edge_sources = {key: normaliser.sources(key) for key in EDGE_KEYS}
+        self._edge_sources = {key: frozenset(normaliser.sources(key)) for key in EDGE_KEYS}
         self._clock = clock
         self._last: FrameReading | None = None
         self._timeline: Timeline | None = None
@@ -248,7 +248,7 @@ class Publisher:
         return frozenset(
             key
             for key, sources in self._edge_sources.items()
-            if key.startswith(f"{group}.") and not self._parts.told >= set(sources)
+            if key.startswith(f"{group}.") and not sources <= self._parts.told
         )
 
     def _publish_state(self, state: _State, reading: FrameReading, t: int) -> None:

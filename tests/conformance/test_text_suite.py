@@ -22,6 +22,7 @@ from gateway.core.registry import Registry
 from gateway.sim.simulator import Simulator, VirtualRobot
 from gateway.testing.conformance import CHECKS, Result, perform, subjects
 from gateway.testing.subject import Subject
+from gateway.testing.told import members_at
 from tests.conformance import defects
 
 HERE = Path(__file__).parent
@@ -476,3 +477,41 @@ async def test_an_invented_vendor_that_answers_words_passes(mike: Subject, check
 def test_every_check_of_text_has_a_defect_that_it_finds() -> None:
     found = {check for _, _, check, _ in DEFECTS.values()}
     assert {check.name for check in CHECKS if "text" in check.of} <= found
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        ('asked = "pos\\r"', 'asked = ""', "`asked` is empty: leave it out where nothing was asked"),
+        ('asked = "pos\\r"', 'before = ["nobody"]', "it names 'nobody' in `before`, which does not stand before it"),
+        ('text = "24.0\\r"', 'text = "24.0\\r"\nhex = "00"', "it needs one of `hex`, `text` and `base`"),
+        ('text = "24.0\\r"', "", "it needs one of `hex`, `text` and `base`"),
+        ('skipped = "comment"', "", "it needs one of `layout`, `skipped` and `occurrences`"),
+    ],
+)
+async def test_a_vector_that_cannot_be_is_named_with_what_is_wrong(
+    mike: Subject, before: str, after: str, words: str
+) -> None:
+    outcome = await perform(BY_NAME["vectors_decode"], edited(before, after)(mike))
+    assert outcome.result == "failed"
+    assert words in outcome.message
+
+
+async def test_a_base_hands_on_what_was_asked(mike: Subject) -> None:
+    (still,) = (vector for vector in mike.vectors if vector.name == "still")
+    assert (still.asked, still.raw) == (b"moving\r", b"false")
+
+
+@pytest.mark.parametrize(
+    ("raw", "at", "names"),
+    [
+        (b'{"a":{"b":[1,{"c":"d"}]},"e":2}', 0, set()),
+        (b'{"a":{"b":[1,{"c":"d"}]},"e":2}', 2, {"a"}),
+        (b'{"a":{"b":[1,{"c":"d"}]},"e":2}', 18, {"a", "b", "c"}),
+        (b'{"a":{"b":[1,{"c":"d"}]},"e":2}', 11, {"a", "b"}),
+        (b'{"a":{"b":[1,{"c":"d"}]},"e":2}', 29, {"e"}),
+        (b'}]"{{"a":"\xff', 9, set()),
+    ],
+)
+def test_the_members_around_a_byte_are_found(raw: bytes, at: int, names: set[str]) -> None:
+    assert members_at(raw, at) == names

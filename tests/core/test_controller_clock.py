@@ -11,11 +11,9 @@ import pytest
 from gateway.api.decoder import Frame
 from gateway.api.layout import Field, Layout
 from gateway.api.model import LinkStats
-from gateway.api.numbers import Numbers
 from gateway.api.vendor import WallClock
 from gateway.core.bus import Bus
 from gateway.core.controller_clock import ControllerClock
-from gateway.core.counters import LinkCounters
 from gateway.core.events import EventRing
 from gateway.core.link import Link
 from tests.core import toy
@@ -93,31 +91,3 @@ def test_samples_carry_the_controllers_time_once_its_zone_is_known(zone: ZoneInf
     assert isinstance(data, LinkStats)
     ours = EPOCH_US + int(1000.5 * 1e6)
     assert data.clock_offset == pytest.approx((told - ours) / 1e6, abs=0.01)
-
-
-def gaps(*numbers: int) -> int | None:
-    """The gaps that frames with these numbers have."""
-    counted = Numbers(256)
-    for number in numbers:
-        counted.take(number)
-    return counted.gaps
-
-
-def test_gaps_are_counted_only_where_the_counter_moves() -> None:
-    assert gaps(0, 0, 0) is None
-    assert gaps(5) is None
-    assert gaps(5, 6, 7) == 0
-    assert gaps(5, 8, 9) == 2
-    assert gaps(254, 255, 0, 1) == 0
-    assert gaps(254, 1) == 2
-    assert gaps(1, 3, 2, 4) == 0  # one was overtaken
-    assert LinkCounters().second(0.0, 0).gaps is None
-
-
-def test_gaps_are_summed_over_the_sessions() -> None:
-    counters = LinkCounters()
-    counters.begin()
-    counters.end(2)
-    counters.begin()
-    assert counters.second(0.0, 0, gaps=None).gaps == 2
-    assert counters.second(0.0, 0, gaps=1).gaps == 3

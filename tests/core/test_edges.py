@@ -1,7 +1,11 @@
 from __future__ import annotations
 
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
 from gateway.api.model import Fault, Motion, OperatingMode, Power, Program, ProgramState, Safety, SafetyState, Status
-from gateway.core.edges import Edge, EdgeFinder
+from gateway.core.edges import EDGE_KEYS, Edge, EdgeFinder
 
 
 def kinds(edges: list[Edge]) -> list[str]:
@@ -34,7 +38,7 @@ def test_a_safety_state_that_is_null_between_two_stops_gives_an_edge_each_way() 
     finder = EdgeFinder()
     states = [None, SafetyState.PROTECTIVE_STOP, None, SafetyState.PROTECTIVE_STOP]
     found = [kinds(finder.observe_safety(Safety(state=state))) for state in states]
-    assert found == [[], ["safety.changed"], ["safety.changed"], ["safety.changed"]]
+    assert found == [[], [], ["safety.changed"], ["safety.changed"]]
 
 
 def test_motion_starts_and_stops() -> None:
@@ -108,3 +112,121 @@ def test_faults_that_cannot_be_told_clear_nothing() -> None:
     finder = EdgeFinder()
     finder.observe_status(Status(faults=[Fault("sos", main=6)]), 1)
     assert status_kinds(finder, Status(faults=None)) == []
+
+
+def seen(finder: EdgeFinder, *states: Status | Safety) -> list[list[str]]:
+    """The edges that each of some states shows."""
+    return [
+        status_kinds(finder, state) if isinstance(state, Status) else kinds(finder.observe_safety(state))
+        for state in states
+    ]
+
+
+@pytest.mark.parametrize(
+    "state",
+    [
+        Status(motion=Motion.MOVING),
+        Status(motion=Motion.STANDSTILL),
+        Status(program=Program(state=ProgramState.RUNNING)),
+        Status(program=Program(state=ProgramState.STOPPED)),
+        Status(e_stopped=False),
+        Safety(collision=False, self_collision=False),
+    ],
+)
+def test_a_null_between_two_equal_values_is_no_event(state: Status | Safety) -> None:
+    nothing = type(state)()
+    assert seen(EdgeFinder(), state, nothing, nothing, state, nothing, state) == [[]] * 6
+
+
+def test_what_nobody_may_miss_is_told_again_after_a_null_with_nothing_known_before() -> None:
+    finder = EdgeFinder()
+    pressed = Status(e_stopped=True)
+    assert seen(finder, pressed, Status(), pressed) == [["estop.pressed"], [], ["estop.pressed"]]
+    _, (edge,) = EdgeFinder().observe_status(pressed, 1)
+    assert (edge.before, edge.after) == (None, True)
+    hit = Safety(collision=True)
+    assert seen(finder, hit, hit, Safety(), hit) == [["collision.detected"], [], [], ["collision.detected"]]
+    itself = Safety(self_collision=True)
+    assert seen(finder, itself, Safety(), itself) == [["collision.detected"], [], ["collision.detected"]]
+
+
+def test_what_was_released_while_nobody_could_see_it_is_told_once() -> None:
+    finder = EdgeFinder()
+    released = seen(finder, Status(e_stopped=True), Status(), Status(e_stopped=False), Status(), Status(e_stopped=False))
+    assert released == [["estop.pressed"], [], ["estop.released"], [], []]
+    cleared = seen(finder, Safety(collision=True), Safety(), Safety(collision=False))
+    assert cleared == [["collision.detected"], [], ["collision.cleared"]]
+
+
+def test_motion_and_program_remember_their_last_known_value_through_a_null() -> None:
+    finder = EdgeFinder()
+    moving, still = Status(motion=Motion.MOVING), Status(motion=Motion.STANDSTILL)
+    assert seen(finder, still, Status(), moving, Status(), still) == [[], [], ["motion.started"], [], ["motion.stopped"]]
+    runs, paused = (Status(program=Program(state=state)) for state in (ProgramState.RUNNING, ProgramState.PAUSED))
+    stopped = Status(program=Program(state=ProgramState.STOPPED))
+    found = seen(EdgeFinder(), stopped, Status(), runs, Status(program=Program()), paused, Status(), stopped)
+    assert found == [[], [], ["program.started"], [], ["program.paused"], [], ["program.stopped"]]
+
+
+@pytest.mark.parametrize(
+    ("known", "kind"),
+    [
+        (Status(operating_mode=OperatingMode.MANUAL), "mode.changed"),
+        (Status(power=Power.ENABLED), "power.changed"),
+        (Safety(state=SafetyState.NORMAL), "safety.changed"),
+    ],
+)
+def test_of_mode_power_and_safety_a_null_is_news_once_and_a_first_null_is_not(
+    known: Status | Safety, kind: str
+) -> None:
+    nothing = type(known)()
+    found = seen(EdgeFinder(), nothing, known, nothing, nothing, known, known)
+    assert found == [[], [], [kind], [], [kind], []]
+
+
+def test_a_null_whose_parts_have_not_come_says_nothing_and_a_value_counts_all_the_same() -> None:
+    finder = EdgeFinder()
+    untold = frozenset(EDGE_KEYS)
+    known = Status(operating_mode=OperatingMode.MANUAL, power=Power.OFF, e_stopped=True, faults=[Fault("a")])
+    finder.observe_status(known, 1)
+    finder.observe_safety(Safety(state=SafetyState.NORMAL, collision=True))
+    assert finder.observe_status(Status(), 2, untold) == (Status(), [])
+    assert finder.observe_safety(Safety(), untold) == []
+    again, edges = finder.observe_status(known, 3, untold)
+    assert (kinds(edges), [fault.since for fault in again.faults or []]) == ([], [1])
+    assert finder.observe_safety(Safety(state=SafetyState.NORMAL, collision=True), untold) == []
+    changed = Status(operating_mode=OperatingMode.AUTOMATIC, power=Power.OFF, e_stopped=False)
+    assert kinds(finder.observe_status(changed, 4, untold)[1]) == ["mode.changed", "estop.released"]
+
+
+LEAVES: st.SearchStrategy[tuple[bool | None, Motion | None]] = st.tuples(
+    st.sampled_from([None, False, True]), st.sampled_from([None, Motion.MOVING, Motion.STANDSTILL])
+)
+
+
+@given(st.lists(LEAVES, max_size=30))
+def test_no_press_is_missed_and_pressed_and_released_take_turns_but_for_a_press_told_again(
+    states: list[tuple[bool | None, Motion | None]],
+) -> None:
+    finder = EdgeFinder()
+    pressed: bool | None = None
+    before: bool | None = None
+    for e_stopped, motion in states:
+        found = [kind for kind in status_kinds(finder, Status(e_stopped=e_stopped, motion=motion)) if "estop" in kind]
+        if e_stopped and not before:
+            assert found == ["estop.pressed"]
+        elif e_stopped is False and pressed:
+            assert found == ["estop.released"]
+        else:
+            assert found == []
+        before = e_stopped
+        pressed = pressed if e_stopped is None else e_stopped
+
+
+@given(st.lists(LEAVES, max_size=30))
+def test_motion_starts_and_stops_in_turns_whatever_is_unknown_between(
+    states: list[tuple[bool | None, Motion | None]],
+) -> None:
+    finder = EdgeFinder()
+    found = [kind for _, motion in states for kind in status_kinds(finder, Status(motion=motion))]
+    assert all(one != after for one, after in zip(found, found[1:], strict=False))
