@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Awaitable, Callable
 from typing import cast
 
@@ -11,15 +12,16 @@ from structlog.testing import capture_logs
 from gateway.api.decoder import Event as Decoded
 from gateway.api.decoder import Refused
 from gateway.api.framing import FramedDecoder
-from gateway.api.model import Event, LinkStats, Sample, Status
+from gateway.api.model import Command, Event, Joints, LinkStats, Sample, Status
 from gateway.api.model import Link as LinkData
 from gateway.core.backoff import no_waiting
 from gateway.core.bus import Bus, Reading, Topic
 from gateway.core.events import EventRing
 from gateway.core.link import Link, announce_broken
 from gateway.core.settings import BrokenRobot, RobotSettings
+from gateway.core.transport import Connection
 from gateway.errors import LinkClosed, VendorError
-from tests.core import toy
+from tests.core import toy, toy_text
 from tests.core.fakes import FakeConnection, FakeConnector, LoopClock, run_jumping
 
 
@@ -36,8 +38,8 @@ class Inbox:
         self.samples.append(reading.sample(topic))
 
     def on_event(self, topic: Topic, event: Event) -> None:
-        assert topic.group.name == "events"
-        self.events.append(event)
+        if topic.group.name == "events":
+            self.events.append(event)
 
     def of(self, group: str) -> list[Sample]:
         return [sample for sample in self.samples if sample.topic == f"r1/{group}"]
@@ -334,3 +336,221 @@ def test_a_kept_session_that_is_refused_stays_open_and_says_so() -> None:
         assert not connection.closed
 
     while_running(FakeConnector(connection), look, dataclasses.replace(robot, protocol=protocol))
+
+
+VALUES: dict[str, object] = {"pos": [90.0], "vel": [1.0], "mode": "MANUAL", "stop": False}
+
+
+def text_connection(**values: object) -> FakeConnection:
+    return FakeConnection(toy_text.answering({**VALUES, **values}))
+
+
+def test_values_are_asked_in_turn_and_the_link_says_how_often_each_comes() -> None:
+    connection = text_connection()
+
+    async def look(bus: Bus, _: Inbox, __: LoopClock) -> None:
+        await anyio.sleep(20.5)
+        link = link_of(bus)
+        assert (link.state, link.layout, link.requested_hz) == ("ONLINE", "toy_text", 10.0)
+        assert link.parts_hz == pytest.approx({"pos": 5.0, "vel": 2.0, "mode": 1.0, "stop": 1.0}, rel=0.35)
+        assert latest(bus, "r1/joints").data == Joints(position=[math.pi / 2], velocity=[math.pi / 180])
+        assert cast("Status", latest(bus, "r1/status").data).operating_mode == "MANUAL"
+
+    while_running(FakeConnector(connection), look, toy_text.settings())
+    assert connection.sent[-1] == b"bye\n"
+    assert connection.sent.count(b"pos\n") == pytest.approx(103, abs=3)
+
+
+def test_a_link_that_is_off_has_no_rates_of_parts() -> None:
+    connection = text_connection()
+
+    async def look(bus: Bus, _: Inbox, __: LoopClock) -> None:
+        await anyio.sleep(5.5)
+        assert link_of(bus).parts_hz
+        connection.end()
+        await anyio.sleep(1.5)
+        assert link_of(bus).parts_hz == {}
+
+    while_running(FakeConnector(connection), look, toy_text.settings())
+
+
+def test_a_value_that_is_no_longer_answered_is_null_within_its_age_and_a_second_and_the_link_stays() -> None:
+    values = dict(VALUES)
+    connection = FakeConnection(toy_text.answering(values))
+
+    async def look(bus: Bus, inbox: Inbox, _: LoopClock) -> None:
+        await anyio.sleep(5.05)
+        del values["mode"], values["stop"]
+        await anyio.sleep(4.1)
+        status = cast("Status", latest(bus, "r1/status").data)
+        assert (status.operating_mode, status.e_stopped) == (None, None)
+        assert link_of(bus).state == "ONLINE"
+        assert inbox.kinds == ["link.online", "mode.changed"]
+
+    while_running(FakeConnector(connection), look, toy_text.settings(stale_s=2.0))
+
+
+def test_a_reconnect_of_a_link_in_parts_raises_no_edges_but_its_own_and_shows_no_old_value() -> None:
+    first, second = text_connection(), text_connection(vel=[2.0])
+
+    async def look(_: Bus, inbox: Inbox, __: LoopClock) -> None:
+        await anyio.sleep(5)
+        first.end()
+        await anyio.sleep(5)
+        assert inbox.kinds == ["link.online", "link.lost", "link.online"]
+        joints = inbox.of("joints")
+        lost = next(index for index, sample in enumerate(joints) if sample.q == "DISCONNECTED")
+        velocities = [cast("Joints", sample.data).velocity for sample in joints[lost:]]
+        assert [math.pi / 180] not in velocities
+        assert [math.pi / 90] in velocities
+        for epoch in {sample.epoch for sample in joints}:
+            inside = [sample for sample in joints if sample.epoch == epoch]
+            assert [sample.t for sample in inside] == sorted(sample.t for sample in inside)
+            assert [sample.seq for sample in inside] == list(range(1, len(inside) + 1))
+
+    while_running(FakeConnector(first, second), look, toy_text.settings())
+
+
+def test_a_clock_set_back_leaves_the_values_of_a_link_in_parts() -> None:
+    async def look(_: Bus, inbox: Inbox, clock: LoopClock) -> None:
+        await anyio.sleep(5.05)
+        clock.set_by_us = -7_200_000_000
+        await anyio.sleep(3)
+        joints = inbox.of("joints")
+        assert len({sample.epoch for sample in joints}) == 2
+        for told in (cast("Joints", sample.data) for sample in joints[5:]):
+            assert told.position is not None
+            assert told.velocity is not None
+        assert inbox.kinds == ["link.online"]
+
+    while_running(FakeConnector(text_connection()), look, toy_text.settings())
+
+
+def test_command_objects_go_to_their_own_topic_and_make_nothing_fresh() -> None:
+    connection = FakeConnection()
+
+    async def look(bus: Bus, inbox: Inbox, _: LoopClock) -> None:
+        commands = bus.topics["r1/commands"]
+        await anyio.sleep(0.1)
+        connection.push(b"#one\n#two\n")
+        await anyio.sleep(0.1)
+        assert link_of(bus).state == "HANDSHAKING"
+        assert commands.ring is not None
+        events, _gone = commands.ring.since(None, 10)
+        assert [cast("Command", event.after).object for event in events] == [{"to": "one"}, {"to": "two"}]
+        assert bus.events.last_seq == 0
+        connection.push(b"pos=[1]\n")
+        while link_of(bus).state == "ONLINE" or not inbox.kinds:
+            connection.push(b"#on and on\n")
+            await anyio.sleep(0.1)
+        assert inbox.events[1].raw == {"reason": "no good frame for 2 s"}
+
+    while_running(FakeConnector(connection), look, toy_text.settings())
+
+
+def test_gaps_are_counted_over_the_sessions() -> None:
+    first, second = FakeConnection(), FakeConnection()
+
+    async def look(bus: Bus, _: Inbox, __: LoopClock) -> None:
+        assert "gaps" not in repr(bus.topics["r1/link_stats"].latest)
+        await anyio.sleep(0.1)
+        first.push(b"pos=[1]\nn=1\nn=4\n")
+        await anyio.sleep(1)
+        assert stats_of(bus).gaps == 2
+        first.end()
+        await anyio.sleep(0.5)
+        second.push(b"pos=[1]\n")
+        await anyio.sleep(1)
+        assert stats_of(bus).gaps == 2
+        second.push(b"n=9\nn=11\n")
+        await anyio.sleep(1)
+        assert (stats_of(bus).gaps, stats_of(bus).sessions) == (3, 2)
+
+    while_running(FakeConnector(first, second), look, toy_text.settings())
+
+
+def stats_of(bus: Bus) -> LinkStats:
+    return cast("LinkStats", latest(bus, "r1/link_stats").data)
+
+
+def test_what_the_transport_notes_and_refuses_is_shown_and_counted() -> None:
+    connector = FakeConnector(FakeConnection(good))
+
+    async def look(bus: Bus, _: Inbox, __: LoopClock) -> None:
+        await anyio.sleep(1.5)
+        assert (link_of(bus).notes, stats_of(bus).rejects) == ([], {})
+        connector.notes.append("a stranger called")
+        connector.rejects["foreign_peer"] = 2
+        await anyio.sleep(1)
+        assert (link_of(bus).notes, stats_of(bus).rejects) == (["a stranger called"], {"foreign_peer": 2})
+
+    while_running(connector, look)
+
+
+def test_what_the_transport_notes_is_shown_while_nobody_is_connected() -> None:
+    connector = FakeConnector()
+    connector.notes.append("a stranger called")
+
+    async def look(bus: Bus, _: Inbox, __: LoopClock) -> None:
+        await anyio.sleep(1.5)
+        assert link_of(bus).state != "ONLINE"
+        assert link_of(bus).notes == ["a stranger called"]
+        assert stats_of(bus).frames == 0
+
+    while_running(connector, look)
+
+
+def test_notes_of_transport_and_decoder_stand_side_by_side_and_are_logged_once() -> None:
+    class Noting(toy_text.Answers):
+        notes = ("a word is missing",)
+
+    robot = toy_text.settings()
+    protocol = dataclasses.replace(robot.protocol, make_decoders=lambda *_: Noting)
+    first, second = FakeConnection(), FakeConnection()
+    connector = FakeConnector(first, second)
+    connector.notes.append("a stranger called")
+
+    async def look(bus: Bus, _: Inbox, __: LoopClock) -> None:
+        with capture_logs() as logs:
+            for connection in (first, second):
+                await anyio.sleep(0.1)
+                connection.push(b"pos=[1]\n")
+                await anyio.sleep(0.1)
+                assert link_of(bus).notes == ["a stranger called", "a word is missing"]
+                connection.end()
+        assert [log["reason"] for log in logs if log["event"] == "link.noted"] == link_of(bus).notes
+
+    while_running(connector, look, dataclasses.replace(robot, protocol=protocol))
+
+
+@pytest.mark.parametrize("after_s", [0.005, 0.5, 30.0])
+def test_the_connector_is_closed_when_the_link_ends_whatever_it_was_doing(after_s: float) -> None:
+    connection = FakeConnection(good)
+    connector = FakeConnector(connection)
+
+    async def look(_: Bus, __: Inbox, ___: LoopClock) -> None:
+        await anyio.sleep(after_s)
+        assert not connector.closed
+
+    while_running(connector, look)
+    assert connector.closed
+    assert connection.closed == (after_s > 0.01)
+
+
+def test_the_connector_is_closed_even_where_closing_takes_a_while() -> None:
+    class Slow(FakeConnector):
+        async def connect(self) -> Connection:
+            await anyio.sleep_forever()
+            raise AssertionError
+
+        async def aclose(self) -> None:
+            await anyio.sleep(1)
+            await super().aclose()
+
+    connector = Slow()
+
+    async def look(_: Bus, __: Inbox, ___: LoopClock) -> None:
+        await anyio.sleep(5)
+
+    while_running(connector, look)
+    assert connector.closed
