@@ -31,7 +31,7 @@ def decoding_is_fast(subject: Subject) -> None:
     while min(found) > subject.protocol.cost and len(found) < _ATTEMPTS:
         found.append(ratio(subject))
     if min(found) > subject.protocol.cost:
-        name, _ = _least(subject.states[0], subject)
+        name, _ = least_of(subject.states[0], subject)
         raise CheckFailed(
             f"decode and normalise cost {min(found):.1f} times {name} of the same bytes, the protocol states "
             f"{subject.protocol.cost:g}: use fewer functions in signal rows, or state what it costs",
@@ -50,7 +50,7 @@ def ratio(subject: Subject) -> float:
     readers = normaliser.readers(frame.layout)
     reads = [reader.read for group, reader in readers.items() if group in FRAME_GROUPS]
     feed, asked = decoder.feed, vector.asked
-    _, least = _least(vector, subject)
+    _, least = least_of(vector, subject)
 
     def decode() -> None:
         tell(decoder, asked)
@@ -67,7 +67,7 @@ def ratio(subject: Subject) -> float:
     return min(slow for slow, _ in rounds) / min(bare for _, bare in rounds)
 
 
-def _least(vector: Vector, subject: Subject) -> tuple[str, Callable[[], object]]:
+def least_of(vector: Vector, subject: Subject) -> tuple[str, Callable[[], object]]:
     """The least that anybody must do with the bytes of a frame, and its name."""
     raw = vector.raw
     if subject.protocol.framing is not None:
