@@ -13,7 +13,7 @@ from aiohttp import web
 
 from gateway.api.messages import Data, EventMessage, Limits, Welcome
 from gateway.client import ClientError, RequestError, connect
-from tests.server.kit import BOOT, cell, publish, raise_event, running_door
+from tests.server.kit import BOOT, cell, last_name, publish, raise_command, raise_event, running_door
 
 
 async def test_every_request_has_a_method() -> None:
@@ -54,6 +54,19 @@ async def test_what_is_pushed_between_question_and_answer_is_kept() -> None:
                 if len(seqs) == n_events == 3:
                     break
         assert seqs == [1, 2, 3]
+
+
+async def test_events_of_several_rings_are_read_on_by_one_name_each() -> None:
+    bus, robots = cell("r1", command_ring=100)
+    raise_event(bus, "r1")
+    names = [raise_command(bus, "r1", number) for number in range(3)]
+    async with running_door(bus, robots) as url, connect(url) as client:
+        assert [event.name for event in await client.events([f"{BOOT}:1", names[0]])] == names[1:]
+        assert [event.name for event in await client.events(names[1], topics=["*/commands"])] == names[2:]
+        await client.subscribe(["*/events", "*/commands"], since=[f"{BOOT}:1", names[1]])
+        message = await anext(client.pushed())
+        assert isinstance(message, EventMessage)
+        assert [event.name for event in message.events] == names[2:] == [last_name(bus, "r1/commands")]
 
 
 async def test_a_refusal_has_its_code_and_the_connection_goes_on() -> None:

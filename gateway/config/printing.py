@@ -45,12 +45,12 @@ def _live(robot: RobotSettings) -> Iterator[str]:
     yield f"stale_s = {toml_value(robot.stale_s)}"
     if robot.clock_zone is not None:
         yield f"clock_zone = {toml_value(str(robot.clock_zone))}"
-    elif robot.protocol.wall_clock is not None:
+    elif robot.protocol.wall_clock is not None and robot.protocol.wall_clock.zone is None:
         yield "# clock_zone is not set: t_src stays null"
-    if robot.estop_polarity is None:
-        yield "# estop_polarity is not set: e_stopped stays null"
-    else:
+    if robot.estop_polarity is not None:
         yield f"estop_polarity = {toml_value(robot.estop_polarity)}"
+    elif any(row.key == "status.e_stopped" and "estop_polarity" in row.options for row in robot.protocol.signals):
+        yield "# estop_polarity is not set: e_stopped is null where the manual does not state it"
     options = msgspec.to_builtins(robot.options)
     if options:
         yield f"[robots.{_key(robot.protocol.name)}]"

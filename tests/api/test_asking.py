@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 
 import pytest
@@ -44,13 +45,13 @@ def test_at_first_everybody_is_asked_soon_the_most_wished_first() -> None:
 def test_the_most_overdue_comes_first() -> None:
     rota = Rota({"a": 1.0, "b": 1.0}, 2.0)
     found = asked(rota, 100)
-    assert all(one != after for one, after in zip(found, found[1:], strict=False))
+    assert all(one != after for one, after in itertools.pairwise(found))
 
 
 def test_turns_are_spread_and_not_given_in_bursts() -> None:
     found = asked(Rota({"a": 9.0, "b": 1.0}, 10.0), 1000)
     places = [at for at, name in enumerate(found) if name == "b"]
-    gaps = [after - before for before, after in zip(places, places[1:], strict=False)]
+    gaps = [after - before for before, after in itertools.pairwise(places)]
     assert set(gaps) <= {9, 10, 11}
 
 
@@ -70,7 +71,7 @@ def test_nothing_is_due_before_its_time_comes() -> None:
     found = asked(Rota({"a": 1.0}, 10.0), 100)
     places = [at for at, name in enumerate(found) if name]
     assert places[0] == 0
-    assert {after - before for before, after in zip(places[1:], places[2:], strict=False)} == {10}
+    assert {after - before for before, after in itertools.pairwise(places[1:])} == {10}
 
 
 def test_one_that_is_dropped_is_asked_no_more_and_the_others_go_on() -> None:
@@ -107,5 +108,5 @@ def test_whatever_is_wished_the_shares_are_kept_and_nobody_waits_for_ever(
         places = [-1, *(at for at, one in enumerate(found) if one == name), turns]
         n_asked = len(places) - 2
         assert n_asked == pytest.approx(turns * step, abs=len(wanted) + 1)
-        longest = max(after - before for before, after in zip(places, places[1:], strict=False))
+        longest = max(after - before for before, after in itertools.pairwise(places))
         assert longest <= 2 / step + len(wanted)

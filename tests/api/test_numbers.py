@@ -63,9 +63,7 @@ def test_numbers_without_an_end_only_grow() -> None:
 
 
 @given(st.lists(st.booleans(), min_size=2, max_size=600), st.integers(0, 255), st.sampled_from([16, 256, None]))
-def test_exactly_what_was_lost_between_two_frames_is_missing(
-    came: list[bool], first: int, modulus: int | None
-) -> None:
+def test_exactly_what_was_lost_between_two_frames_is_missing(came: list[bool], first: int, modulus: int | None) -> None:
     came[0] = came[-1] = True
     lost_in_a_row, longest = 0, 0
     for one in came:

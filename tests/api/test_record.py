@@ -217,7 +217,7 @@ def test_a_commanded_value_shown_as_measured_is_listed_while_it_tells_something(
     rows = [
         Signal("tcp.pose", "pose", quality=Quality.SUBSTITUTED),
         Signal("tcp.speed", "speed", quality=Quality.SUBSTITUTED),
-        Signal("tcp.elbow", "line", lambda told: float(told)),
+        Signal("tcp.elbow", "line", float),
     ]
     both, quality = read(rows, AS_TOLD)
     assert (cast("Tcp", both).substituted, quality) == (["pose", "speed"], "SUBSTITUTED")
@@ -308,7 +308,7 @@ def test_raw_values_and_units_are_the_manuals() -> None:
     [
         (Signal("tcp.speed", "nothing"), "record told has no value 'nothing'"),
         (Signal("tcp.speed", ("speed", "nothing"), lambda *_: 0.0, partial=True), "no value 'nothing'"),
-        (Signal("tcp.speed", "speed", lambda told, size: told, options=("size",)), "the robot has no option 'size'"),
+        (Signal("tcp.speed", "speed", lambda told, **_: told, options=("size",)), "the robot has no option 'size'"),
         (Signal("tcp.speed", ("speed", "ratio")), r"several values need a function \(via\)"),
         (Signal("tcp.sped", "speed"), "the model has no key 'tcp.sped'"),
         (Signal("tcp.speed", "override"), "converts to '1', not to 'm/s'"),

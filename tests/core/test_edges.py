@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import itertools
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -152,7 +154,9 @@ def test_what_nobody_may_miss_is_told_again_after_a_null_with_nothing_known_befo
 
 def test_what_was_released_while_nobody_could_see_it_is_told_once() -> None:
     finder = EdgeFinder()
-    released = seen(finder, Status(e_stopped=True), Status(), Status(e_stopped=False), Status(), Status(e_stopped=False))
+    released = seen(
+        finder, Status(e_stopped=True), Status(), Status(e_stopped=False), Status(), Status(e_stopped=False)
+    )
     assert released == [["estop.pressed"], [], ["estop.released"], [], []]
     cleared = seen(finder, Safety(collision=True), Safety(), Safety(collision=False))
     assert cleared == [["collision.detected"], [], ["collision.cleared"]]
@@ -161,7 +165,13 @@ def test_what_was_released_while_nobody_could_see_it_is_told_once() -> None:
 def test_motion_and_program_remember_their_last_known_value_through_a_null() -> None:
     finder = EdgeFinder()
     moving, still = Status(motion=Motion.MOVING), Status(motion=Motion.STANDSTILL)
-    assert seen(finder, still, Status(), moving, Status(), still) == [[], [], ["motion.started"], [], ["motion.stopped"]]
+    assert seen(finder, still, Status(), moving, Status(), still) == [
+        [],
+        [],
+        ["motion.started"],
+        [],
+        ["motion.stopped"],
+    ]
     runs, paused = (Status(program=Program(state=state)) for state in (ProgramState.RUNNING, ProgramState.PAUSED))
     stopped = Status(program=Program(state=ProgramState.STOPPED))
     found = seen(EdgeFinder(), stopped, Status(), runs, Status(program=Program()), paused, Status(), stopped)
@@ -229,4 +239,4 @@ def test_motion_starts_and_stops_in_turns_whatever_is_unknown_between(
 ) -> None:
     finder = EdgeFinder()
     found = [kind for _, motion in states for kind in status_kinds(finder, Status(motion=motion))]
-    assert all(one != after for one, after in zip(found, found[1:], strict=False))
+    assert all(one != after for one, after in itertools.pairwise(found))

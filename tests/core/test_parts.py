@@ -92,7 +92,12 @@ def test_other_times_go_to_the_oldest_part_first() -> None:
     parts.take(frame(pos=[1.0], mode="a"), 11, 1.0)
     parts.take(frame(mode="b"), 12, 2.0)
     stamped: list[float] = []
-    parts.restamp(lambda at_s: stamped.append(at_s) or int(at_s) + 100)
+
+    def stamp(at_s: float) -> int:
+        stamped.append(at_s)
+        return int(at_s) + 100
+
+    parts.restamp(stamp)
     assert stamped == [1.0, 2.0]
     oldest = parts.view(EMPTY, None).oldest
     assert oldest is not None

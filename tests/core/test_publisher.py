@@ -535,59 +535,74 @@ STEPS = st.lists(
 )
 
 
+class Story:
+    """A publisher to which things happen, and what must be true of it."""
+
+    def __init__(self, stale_s: float) -> None:
+        self.bench = PartsBench("r1/*", stale_s=stale_s)
+        self.stale_s = stale_s
+        self.told_s: dict[str, float] = {}
+        self.epochs = 1
+        self.set_back = False
+
+    def tell(self, now_s: float, values: Told) -> None:
+        """Some values come; what is told is what came, and is fresh."""
+        self.bench.tell(now_s, **values)
+        for name, value in values.items():
+            self.told_s.pop(name, None)
+            if value is not None:
+                self.told_s[name] = now_s
+        self.look(now_s)
+
+    def happen(self, now_s: float, what: str) -> None:
+        """Something else happens."""
+        bench = self.bench.at(now_s)
+        if what == "expire":
+            bench.expire(now_s)
+            self.look(now_s)
+        elif what in {"slew", "jump", "back"}:
+            bench.clock.set_by_us += {"slew": -300_000, "jump": 5_000_000, "back": -10_000_000}[what]
+            if bench.timeline.follow() < 0:
+                self.set_back = True
+                self.epochs += 1
+                bench.publisher.set_back(f"e{self.epochs}")
+        else:
+            self.told_s.clear()
+            bench.silent(now_s)
+            if what == "session":
+                self.epochs += 1
+                bench.begin(f"e{self.epochs}")
+
+    def look(self, now_s: float) -> None:
+        """Exactly the fresh values are shown."""
+        fresh = {name for name, at_s in self.told_s.items() if now_s - at_s <= self.stale_s}
+        for group, names in (("joints", {"pos", "vel"}), ("status", {"mode", "motion", "stop"})):
+            if self.bench.bus.topics[f"r1/{group}"].latest is not None:
+                data = cast("dict[str, object]", msgspec.to_builtins(self.bench.latest(group).data))
+                assert {name for name in names if data[KEYS[name]] is not None} == fresh & names
+
+
 @given(STEPS, st.sampled_from([0.5, 1.0, 2.0]))
 def test_whatever_happens_time_and_seq_never_go_back_inside_an_epoch_and_no_value_is_too_old(
     steps: list[tuple[int, Told | str]], stale_s: float
 ) -> None:
-    bench = PartsBench("r1/*", stale_s=stale_s)
-    epochs, told_s = 1, dict[str, float]()
-    set_back = False
+    story = Story(stale_s)
     now_ms = 0
     for after_ms, step in steps:
         now_ms += after_ms
-        now_s = now_ms / 1000
         if isinstance(step, dict):
-            bench.tell(now_s, **step)
-            told_s.update({name: now_s for name, value in step.items() if value is not None})
-            for name in (name for name, value in step.items() if value is None):
-                told_s.pop(name, None)
-        elif step == "expire":
-            bench.expire(now_s)
-        elif step in {"slew", "jump"}:
-            bench.at(now_s).clock.set_by_us += {"slew": -300_000, "jump": 5_000_000}[step]
-            bench.timeline.follow()
+            story.tell(now_ms / 1000, step)
         else:
-            bench.at(now_s)
-            if step == "back":
-                bench.clock.set_by_us -= 10_000_000
-                assert bench.timeline.follow() < 0
-                set_back = True
-            else:
-                told_s.clear()
-                bench.silent(now_s)
-            if step != "silent":
-                epochs += 1
-                (bench.publisher.set_back if step == "back" else bench.begin)(f"e{epochs}")
-        if isinstance(step, dict) or step == "expire":
-            fresh = {name for name, at_s in told_s.items() if now_s - at_s <= stale_s}
-            for group, names in (("joints", {"pos", "vel"}), ("status", {"mode", "motion", "stop"})):
-                topic = bench.bus.topics[f"r1/{group}"]
-                if topic.latest is None:
-                    continue
-                data = cast("dict[str, object]", msgspec.to_builtins(topic.latest.sample(topic).data))
-                shown = {name: data[KEYS[name]] for name in names}
-                assert {name for name, value in shown.items() if value is not None} == fresh & names
-    for topic_name in {sample.topic for sample in bench.inbox.samples}:
-        samples = [sample for sample in bench.inbox.samples if sample.topic == topic_name]
-        for epoch in {sample.epoch for sample in samples}:
-            inside = [sample for sample in samples if sample.epoch == epoch]
-            assert [sample.t for sample in inside] == sorted(sample.t for sample in inside)
-            seqs = [sample.seq for sample in inside]
-            assert seqs == sorted(set(seqs))
-            assert seqs[0] >= 1
-    if not set_back:
-        times = [event.t for event in bench.inbox.events]
-        assert times == sorted(times)
+            story.happen(now_ms / 1000, step)
+    inbox = story.bench.inbox
+    for stream in {(sample.topic, sample.epoch) for sample in inbox.samples}:
+        inside = [sample for sample in inbox.samples if (sample.topic, sample.epoch) == stream]
+        assert [sample.t for sample in inside] == sorted(sample.t for sample in inside)
+        seqs = [sample.seq for sample in inside]
+        assert seqs == sorted(set(seqs))
+        assert seqs[0] >= 1
+    times = [event.t for event in inbox.events]
+    assert story.set_back or times == sorted(times)
 
 
 KEYS = {"pos": "position", "vel": "velocity", "mode": "operating_mode", "motion": "motion", "stop": "e_stopped"}

@@ -1,4 +1,4 @@
-"""A text protocol small enough to see through: `name\\n` asks, `name=<json>\\n` answers, and each answer is one part."""
+"""A text protocol small enough to see through: a line `name` asks, `name=<json>` answers: each answer is one part."""
 
 from __future__ import annotations
 

@@ -47,12 +47,20 @@ class CountingReading(ValueReading):
         return super().sample(topic)
 
 
-def cell(*names: str, ring: int = 10_000) -> tuple[Bus, list[Robot]]:
-    """A bus with some robots of the toy vendor; of their topics only the link has a value."""
-    bus = Bus(EventRing(ring, BOOT))
+def cell(*names: str, ring: int = 10_000, command_ring: int | None = None) -> tuple[Bus, list[Robot]]:
+    """A bus with some robots of the toy vendor; of their topics only the link has a value.
+
+    Args:
+        names: Of the robots.
+        ring: How many events are kept.
+        command_ring: How many command objects are kept; None: the robots tell of none.
+    """
+    bus = Bus(EventRing(ring, BOOT), command_ring or 1)
     robots: list[Robot] = [dataclasses.replace(toy.settings(), name=name) for name in names or ("r1", "r2")]
     for robot in robots:
         bus.add(robot.name, ["joints", "status", "events", "link", "link_stats", "vendor"])
+        if command_ring:
+            bus.add(robot.name, ["commands"])
         link = Link(state=LinkState.ONLINE, since=T, protocol="polled", peer="192.0.2.1:1")
         publish(bus, f"{robot.name}/link", 1, link)
     return bus, robots
@@ -79,6 +87,20 @@ def publish_status(bus: Bus, topic: str, seq: int, *, in_motion: bool) -> None:
 def raise_event(bus: Bus, robot: str) -> None:
     """Raise an event."""
     bus.raise_event(bus.topics[f"{robot}/events"], T, EventKind.MOTION_STARTED, "STANDSTILL", "MOVING", {"word": 1})
+
+
+def raise_command(bus: Bus, robot: str, number: int = 0, t: int = T) -> str:
+    """Tell of a command object; its name."""
+    topic = bus.topics[f"{robot}/commands"]
+    bus.raise_event(topic, t, EventKind.COMMAND_ISSUED, None, number, {})
+    return last_name(bus, topic.name)
+
+
+def last_name(bus: Bus, name: str) -> str:
+    """The name of the newest event of a topic's ring."""
+    ring = bus.topics[name].ring
+    assert ring is not None
+    return ring.last_name
 
 
 @asynccontextmanager

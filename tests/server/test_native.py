@@ -18,6 +18,7 @@ from gateway.api import messages
 from gateway.api.messages import JSON_SUBPROTOCOL, MSGPACK_SUBPROTOCOL
 from gateway.api.model import EventKind, Joints, Link, LinkState, Quality, Sample
 from gateway.core.bus import Bus, Topic
+from gateway.server.outbox import QUEUED_EVENTS
 from tests.server.kit import (
     BOOT,
     CountingReading,
@@ -25,8 +26,10 @@ from tests.server.kit import (
     T,
     Talk,
     cell,
+    last_name,
     publish,
     publish_status,
+    raise_command,
     raise_event,
     running_door,
     talking,
@@ -147,6 +150,11 @@ WRONG = [
     ({"op": "subscribe", "id": 7, "topics": ["*/joints"], "mode": "some"}, "BAD_MESSAGE", "mode"),
     ({"op": "subscribe", "id": 7, "topics": ["*/joints"], "mode": "all", "rate_hz": 5}, "BAD_REQUEST", "rate_hz"),
     ({"op": "subscribe", "id": 7, "topics": ["*/events"], "since": "x"}, "BAD_REQUEST", "boot:seq"),
+    ({"op": "subscribe", "id": 7, "topics": ["*/events"], "since": []}, "BAD_MESSAGE", "since"),
+    ({"op": "subscribe", "id": 7, "topics": ["*/events"], "since": [1]}, "BAD_MESSAGE", "since"),
+    ({"op": "subscribe", "id": 7, "topics": ["*/events"], "since": ["a:1", "b"]}, "BAD_REQUEST", "boot:seq"),
+    ({"op": "subscribe", "id": 7, "topics": ["*/events"], "since": ["a:1", "a:2"]}, "BAD_REQUEST", "more than once"),
+    ({"op": "events", "id": 7, "since": ["a:1", "a:2"]}, "BAD_REQUEST", "more than once"),
     ({"op": "unsubscribe", "id": 8}, "BAD_REQUEST", "no subscription 8"),
     ({"op": "get", "id": 7, "topics": ["r3/*"]}, "UNKNOWN_TOPIC", "r3/*"),
     ({"op": "describe", "id": 7, "topic": "r1/joint"}, "UNKNOWN_TOPIC", "r1/joints"),
@@ -449,7 +457,7 @@ async def test_more_events_than_can_be_queued_end_with_1013() -> None:
     bus, robots = cell("r1")
     async with running_door(bus, robots) as url, talking(url) as talk:
         await talk.ask("subscribe", topics=["*/events"])
-        for _ in range(10_001):
+        for _ in range(QUEUED_EVENTS + 1):
             raise_event(bus, "r1")
         assert await talk.close_code() == 1013
 
@@ -523,3 +531,187 @@ async def test_an_empty_cell_answers() -> None:
     async with running_door(Bus(cell()[0].events), empty) as url, talking(url) as talk:
         assert (await talk.ask("robots"))["robots"] == []
         assert (await talk.ask("subscribe", topics=["*"]))["code"] == "UNKNOWN_TOPIC"
+
+
+async def events_of(talk: Talk, count: int) -> list[str]:
+    """The names of so many events that are sent."""
+    names: list[str] = []
+    while len(names) < count:
+        pushed = msgspec.convert((await talk.receive("event"))["events"], list[dict[str, object]])
+        names += [str(event["name"]) for event in pushed]
+    assert len(names) == count
+    return names
+
+
+def read_back(answer: dict[str, object]) -> tuple[list[str], object]:
+    """The names of the events of an answer, and how many are missed."""
+    return [str(event["name"]) for event in msgspec.convert(answer["events"], list[dict[str, object]])], answer[
+        "missed"
+    ]
+
+
+def told_cell(command_ring: int = 100) -> tuple[Bus, list[Robot], dict[str, list[str]]]:
+    """Two robots, with five events and five command objects each, taking turns; the names by topic."""
+    bus, robots = cell("r1", "r2", command_ring=command_ring)
+    told: dict[str, list[str]] = {"events": [], "r1": [], "r2": []}
+    for number in range(5):
+        raise_event_at(bus, "r1", T + 10 * number)
+        told["events"].append(bus.events.last_name)
+        for robot, after in (("r1", 1), ("r2", 2)):
+            told[robot].append(raise_command(bus, robot, number, T + 10 * number + after))
+    return bus, robots, told
+
+
+def raise_event_at(bus: Bus, robot: str, t: int) -> None:
+    bus.raise_event(bus.topics[f"{robot}/events"], t, EventKind.MOTION_STARTED, None, None, {})
+
+
+async def test_the_events_of_all_rings_are_read_back_by_time() -> None:
+    bus, robots, told = told_cell()
+    by_time = [name for turn in zip(told["events"], told["r1"], told["r2"], strict=True) for name in turn]
+    async with running_door(bus, robots) as url, talking(url) as talk:
+        assert read_back(await talk.ask("events")) == (by_time, 0)
+        assert read_back(await talk.ask("events", limit=4)) == (by_time[:4], 0)
+        assert read_back(await talk.ask("events", topics=["r1/commands"], limit=2)) == (told["r1"][:2], 0)
+        since = [told["events"][3], told["r2"][0]]
+        expected = sorted([told["events"][4], *told["r1"], *told["r2"][1:]], key=by_time.index)
+        assert read_back(await talk.ask("events", since=since)) == (expected, 0)
+
+
+async def test_events_read_page_by_page_are_complete_whatever_the_limit() -> None:
+    bus, robots, told = told_cell()
+    everything = {name for names in told.values() for name in names}
+    async with running_door(bus, robots) as url, talking(url) as talk:
+        for limit in (1, 2, 7, 100):
+            newest = {BOOT: f"{BOOT}:0"}
+            found: list[str] = []
+            while True:
+                page, missed = read_back(await talk.ask("events", since=list(newest.values()), limit=limit))
+                assert missed == 0
+                if not page:
+                    break
+                found += page
+                newest.update({name.rpartition(":")[0]: name for name in page})
+            assert len(found) == len(everything)
+            assert set(found) == everything
+
+
+async def test_a_ring_keeps_its_own_order_where_time_went_back() -> None:
+    bus, robots = cell("r1", "r2", command_ring=100)
+    r1 = [raise_command(bus, "r1", 0, T + at) for at in (50, 10, 60)]
+    r2 = [raise_command(bus, "r2", 0, T + at) for at in (20, 30)]
+    async with running_door(bus, robots) as url, talking(url) as talk:
+        names, _ = read_back(await talk.ask("events"))
+    assert [name for name in names if name in r1] == r1
+    assert [name for name in names if name in r2] == r2
+
+
+@pytest.mark.parametrize("as_list", [True, False])
+async def test_a_ring_that_no_name_belongs_to_is_read_from_its_beginning_and_what_is_gone_is_said_exactly(
+    *, as_list: bool
+) -> None:
+    bus, robots, told = told_cell(command_ring=3)
+    since = told["events"][4]
+    async with running_door(bus, robots) as url, talking(url) as talk:
+        names, missed = read_back(await talk.ask("events", since=[since] if as_list else since))
+        assert sorted(names) == sorted([*told["r1"][2:], *told["r2"][2:]])
+        assert missed == 4
+        names, missed = read_back(await talk.ask("events", since=[since, told["r1"][0]]))
+        assert (len(names), missed) == (6, 3)
+        names, missed = read_back(await talk.ask("events", since=[since, told["r1"][3], told["r2"][1]]))
+        assert (sorted(names), missed) == (sorted([told["r1"][4], *told["r2"][2:]]), 0)
+        names, missed = read_back(await talk.ask("events", since=since, topics=["r1/events"]))
+        assert (names, missed) == ([], 0)
+
+
+async def test_a_name_of_another_boot_makes_the_loss_unknown_and_everything_comes() -> None:
+    bus, robots, told = told_cell()
+    async with running_door(bus, robots) as url, talking(url) as talk:
+        names, missed = read_back(await talk.ask("events", since=["before:7", "other:3"]))
+        assert (len(names), missed) == (15, -1)
+        # one ring is known: what is gone of the others nobody knows
+        names, missed = read_back(await talk.ask("events", since=[told["events"][4], "before:7"]))
+        assert (len(names), missed) == (10, -1)
+        # every ring that is asked for is named: nothing is unknown
+        known = [told["events"][4], told["r1"][4], told["r2"][4], "before:7"]
+        assert read_back(await talk.ask("events", since=known)) == ([], 0)
+
+
+async def test_a_subscription_reads_on_in_every_ring_and_is_told_the_newest_names() -> None:
+    bus, robots, told = told_cell()
+    async with running_door(bus, robots) as url, talking(url) as talk:
+        since = [told["events"][4], told["r1"][2], told["r2"][4]]
+        answer = await talk.ask("subscribe", topics=["*/events", "*/commands"], since=since)
+        newest = [told["events"][4], told["r1"][4], told["r2"][4]]
+        assert sorted(msgspec.convert(answer["last_events"], list[str])) == sorted(newest)
+        assert await events_of(talk, 2) == told["r1"][3:]
+        live = [raise_command(bus, "r2"), raise_command(bus, "r1")]
+        assert await events_of(talk, 2) == live
+
+
+async def test_a_subscription_without_rings_is_told_no_names_and_one_without_events_that_nothing_was() -> None:
+    bus, robots = cell("r1", command_ring=100)
+    async with running_door(bus, robots) as url, talking(url) as talk:
+        assert "last_events" not in await talk.ask("subscribe", id=1, topics=["*/joints"])
+        answer = await talk.ask("subscribe", id=2, topics=["r1/*"])
+        assert set(msgspec.convert(answer["last_events"], list[str])) == {
+            f"{BOOT}:0",
+            last_name(bus, "r1/commands"),
+        }
+
+
+async def test_a_refused_since_leaves_no_subscription() -> None:
+    bus, robots, told = told_cell()
+    async with running_door(bus, robots) as url, talking(url) as talk:
+        refused = await talk.ask("subscribe", topics=["*/commands"], since=[told["r1"][0], told["r1"][1]])
+        assert refused["code"] == "BAD_REQUEST"
+        assert bus.topics["r1/commands"].listeners == []
+
+
+async def test_the_url_reads_on_in_several_rings() -> None:
+    bus, robots, told = told_cell()
+    since = ",".join([told["events"][2], told["r1"][3], told["r2"][4]])
+    async with (
+        running_door(bus, robots) as url,
+        talking(f"{url}?topics=*/events,*/commands&since={since}") as talk,
+    ):
+        assert (await talk.receive("result"))["id"] == "url"
+        assert await events_of(talk, 3) == [told["events"][3], told["events"][4], told["r1"][4]]
+
+
+async def test_a_flood_of_command_objects_while_a_client_is_away_is_read_back_complete_and_in_order() -> None:
+    bus, robots = cell("r1", "r2", command_ring=20_000)
+    raise_event(bus, "r1")
+    async with running_door(bus, robots) as url:
+        async with talking(url) as talk:
+            await talk.ask("subscribe", topics=["*/events", "*/commands"])
+            first = raise_command(bus, "r1")
+            assert await events_of(talk, 1) == [first]
+        flood = [raise_command(bus, "r1", number) for number in range(5000)]
+        for _ in range(20):
+            raise_event(bus, "r2")
+        async with talking(url) as talk:
+            since = [first, f"{BOOT}:1"]
+            answer = await talk.ask("subscribe", topics=["*/events", "*/commands"], since=since)
+            assert flood[-1] in msgspec.convert(answer["last_events"], list[str])
+            names: list[str] = []
+            while len(names) < 5020:
+                message = await talk.receive()
+                assert message["op"] == "event"  # nothing is missed
+                names += [str(event["name"]) for event in msgspec.convert(message["events"], list[dict[str, object]])]
+            assert [name for name in names if not name.startswith(f"{BOOT}:")] == flood
+            assert [name for name in names if name.startswith(f"{BOOT}:")] == [f"{BOOT}:{n}" for n in range(2, 22)]
+        async with talking(url) as talk:
+            names, missed = read_back(await talk.ask("events", since=[first, f"{BOOT}:21"], limit=10_000))
+            assert (names, missed) == (flood, 0)
+
+
+async def test_a_flood_of_command_objects_pushes_no_edge_out_of_its_ring() -> None:
+    bus, robots = cell("r1", ring=10, command_ring=10)
+    raise_event(bus, "r1")
+    for number in range(1000):
+        raise_command(bus, "r1", number)
+    async with running_door(bus, robots) as url, talking(url) as talk:
+        assert read_back(await talk.ask("events", since=f"{BOOT}:0", topics=["*/events"])) == ([f"{BOOT}:1"], 0)
+        names, missed = read_back(await talk.ask("events", since=f"{BOOT}:0"))
+        assert (len(names), missed) == (11, 990)

@@ -13,13 +13,13 @@ import pytest
 
 from gateway.api.messages import Data, EventMessage, Mode, Response
 from gateway.api.messages import Missed as MissedMessage
-from gateway.api.model import Joints, Quality
+from gateway.api.model import Event, Joints, Quality
 from gateway.core.bus import Bus, ValueReading
 from gateway.server import outbox as module
 from gateway.server.inbox import Rated
 from gateway.server.outbox import QUEUED_EVENTS, QUEUED_SAMPLES, Outbox, Subscription, Wish
 from gateway.server.wire import JSON, Cut
-from tests.server.kit import BOOT, Now, cell, publish, publish_status, raise_event, reading
+from tests.server.kit import BOOT, Now, T, cell, publish, publish_status, raise_command, raise_event, reading
 
 FLUSH_S = 0.002
 
@@ -48,7 +48,16 @@ class Box:
 
     def collect(self) -> list[Response]:
         """The messages that are due now."""
-        return [msgspec.json.decode(message, type=Response) for message in self.outbox.collect()]
+        messages = self.outbox.collect()
+        while self.outbox.has_more:
+            assert self.due
+            messages += self.outbox.collect()
+        return [msgspec.json.decode(message, type=Response) for message in messages]
+
+    def raw_events(self) -> list[Event]:
+        """The events that are due now, whole."""
+        found = [message for message in self.collect() if isinstance(message, EventMessage)]
+        return [event for message in found for event in message.events]
 
     def seqs(self, topic: str = "r1/joints") -> list[int]:
         """The samples of a topic that are due now."""
@@ -59,8 +68,7 @@ class Box:
 
     def events(self) -> list[int]:
         """The events that are due now."""
-        found = [message for message in self.collect() if isinstance(message, EventMessage)]
-        return [event.seq for message in found for event in message.events]
+        return [event.seq for event in self.raw_events()]
 
     def missed(self) -> list[MissedMessage]:
         """What the client is told that it missed."""
@@ -390,10 +398,10 @@ def test_resuming_more_than_the_queue_holds_gives_the_newest_and_says_how_many_a
     for _ in range(QUEUED_EVENTS + 100):
         raise_event(bus, "r1")
     one.resume(f"{BOOT}:0")
-    events, missed = one.collect()
-    assert isinstance(events, EventMessage)
-    assert [event.seq for event in events.events] == list(range(101, QUEUED_EVENTS + 101))
-    assert missed == MissedMessage(events=100)
+    found = one.collect()
+    events = [event.seq for message in found if isinstance(message, EventMessage) for event in message.events]
+    assert events == list(range(101, QUEUED_EVENTS + 101))
+    assert [message for message in found if isinstance(message, MissedMessage)] == [MissedMessage(events=100)]
 
 
 def test_more_events_than_the_bound_overflow() -> None:
@@ -446,4 +454,99 @@ async def test_waiting_ends_when_something_becomes_due() -> None:
 
 
 def test_the_bounds_are_what_the_welcome_says() -> None:
-    assert (module.QUEUED_SAMPLES, module.QUEUED_EVENTS, module.MISSED_PERIOD_S) == (10_000, 10_000, 1.0)
+    assert (module.QUEUED_SAMPLES, module.QUEUED_EVENTS, module.MISSED_PERIOD_S) == (10_000, 20_000, 1.0)
+
+
+def two_rings() -> Box:
+    """Two robots with command objects: three rings."""
+    bus, _ = cell("r1", "r2", command_ring=30_000)
+    return Box(bus)
+
+
+def names(events: list[Event]) -> list[str]:
+    return [event.name for event in events]
+
+
+def test_two_subscriptions_over_two_rings_deliver_each_event_once() -> None:
+    one = two_rings()
+    one.subscribe("*/events", "*/commands", name=1)
+    one.subscribe("r1/*", name=2)
+    one.subscribe("r1/commands", name=3)
+    told = []
+    for number in range(5):
+        raise_event(one.bus, "r1")
+        told += [one.bus.events.last_name, raise_command(one.bus, "r1", number), raise_command(one.bus, "r2", number)]
+    assert names(one.raw_events()) == told
+    assert len(set(told)) == 15
+
+
+def test_the_same_number_in_two_rings_is_not_the_same_event() -> None:
+    one = two_rings()
+    one.subscribe("*")
+    one.collect()
+    told = [raise_command(one.bus, "r1"), raise_command(one.bus, "r2")]
+    raise_event(one.bus, "r1")
+    told.append(one.bus.events.last_name)
+    assert [name.rpartition(":")[2] for name in told] == ["1", "1", "1"]
+    assert names(one.raw_events()) == told
+
+
+def test_events_read_back_of_several_rings_and_live_ones_merge_with_each_ring_in_order() -> None:
+    one = two_rings()
+    old = [raise_command(one.bus, "r1", number, T + 10 * number) for number in range(4)]
+    other = [raise_command(one.bus, "r2", number, T + 10 * number + 5) for number in range(4)]
+    one.subscribe("*/commands")
+    live = raise_command(one.bus, "r1", 4, T)  # a clock was set back: its ring's order counts
+    rings = [one.bus.topics[f"{robot}/commands"].ring for robot in ("r1", "r2")]
+    found = [event for ring in rings if ring is not None for event in ring.since(None, 100)[0]]
+    one.outbox.resume(found, 0)
+    assert one.outbox.has_more
+    told = names(one.raw_events())
+    assert [name for name in told if name in {*old, live}] == [*old, live]
+    assert [name for name in told if name in other] == other
+    assert told[:4] == [old[0], other[0], old[1], other[1]]
+    after = raise_command(one.bus, "r1", 5, T)
+    assert names(one.raw_events()) == [after]
+
+
+def test_the_bound_holds_over_all_rings_together() -> None:
+    one = two_rings()
+    one.subscribe("*/commands", "*/events")
+    for _ in range(QUEUED_EVENTS // 2):
+        raise_command(one.bus, "r1")
+        raise_event(one.bus, "r2")
+    flags = [one.outbox.overflowed]
+    last = raise_command(one.bus, "r2")
+    flags.append(one.outbox.overflowed)
+    assert flags == [False, True]
+    told = names(one.raw_events())
+    assert len(told) == QUEUED_EVENTS
+    assert last not in told
+
+
+def test_a_flood_of_command_objects_waits_whole_and_in_order_and_leaves_in_pieces() -> None:
+    one = two_rings()
+    one.subscribe("*/commands")
+    told = [raise_command(one.bus, "r1", number) for number in range(5000)]
+    pieces = 0
+    found: list[str] = []
+    while one.outbox.has_more:
+        for message in one.outbox.collect():
+            decoded = msgspec.json.decode(message, type=Response)
+            assert isinstance(decoded, EventMessage)
+            assert len(decoded.events) <= module.EVENTS_A_MESSAGE
+            found += names(decoded.events)
+            pieces += 1
+    assert found == told
+    assert pieces == 5000 // module.EVENTS_A_MESSAGE
+    assert not one.due
+
+
+def test_an_unknown_loss_is_not_made_known_by_a_later_one() -> None:
+    one = two_rings()
+    one.outbox.resume([], None)
+    one.outbox.resume([], 5)
+    assert one.missed() == [MissedMessage(events=None)]
+    one.outbox.resume([], 5)
+    assert one.missed() == [MissedMessage(events=5)]
+    assert one.missed() == []

@@ -22,8 +22,8 @@ EXTERNAL = Protocol(
     outgoing=(external.OUTGOING,),
     when_refused=(
         "External communication is off until it is switched on at the HMI (Communication > External communication), "
-        "with a port of your choice; and one of the two sides is the server: where the controller is the client, "
-        'set role = "server" below [robots.external]'
+        "with a port of your choice. One of the two sides is the server, the other one calls: "
+        "`role` below [robots.external] says which this gateway is"
     ),
 )
 

@@ -145,8 +145,7 @@ def test_a_suffix_that_was_never_completed_is_no_part_of_the_next_answer() -> No
     assert found.feed(b"true\r")[1:] == []
     assert found.pending == 0
     found.asked(b"task_state\r\n")
-    (event,) = found.feed(b"ready\r\n")
-    assert isinstance(event, Reject)  # a CR, then the answer: it is not known what it is
+    assert values(found.feed(b"ready\r\n")) == {"task_state": "ready"}
 
 
 @pytest.mark.parametrize(
@@ -361,13 +360,12 @@ def test_damage_of_any_byte_raises_nothing_and_tells_of_no_other_word(word: str,
     for at in range(len(told)):
         for byte in range(256):
             found = reader(word)
-            events = found.feed(told[:at] + bytes([byte]) + told[at + 1 :])
+            hurt = told[:at] + bytes([byte]) + told[at + 1 :]
+            events = found.feed(hurt)
             events += found.end()
             assert values(events).keys() <= {word}
-            assert b"".join(event.raw for event in events if not isinstance(event, Refused)) in {
-                told[:at] + bytes([byte]) + told[at + 1 :],
-                told[:at] + bytes([byte]) + told[at + 1 : -1],  # the suffix behind a yes or no
-            }
+            seen = b"".join(event.raw for event in events if not isinstance(event, Refused))
+            assert seen == hurt or (word == "fault_state" and seen + b"\r" == hurt)  # the suffix behind a yes or no
 
 
 def test_one_question_is_outstanding_never_two() -> None:
@@ -390,7 +388,7 @@ def test_questions_share_the_budget_by_their_rates() -> None:
         "collision_state": 5, "motor_on_state": 5, "robot_running_state": 5, "operating_mode": 5, "task_state": 5,
         "current_prog": 5,
     }  # fmt: skip
-    assert set(asked[:12]) == set(asked)  # within 1.2 s everything was asked once
+    assert set(asked[:20]) == set(asked)  # within the 2 s of the slowest, everything was asked once
 
 
 def test_nothing_is_asked_more_often_than_wished() -> None:
@@ -422,7 +420,7 @@ def test_a_word_that_is_never_answered_while_others_are_is_dropped_and_noted() -
                 break
             talk.hear(word)
         talk.connect()
-    assert sessions == 3  # two in which it was asked, and the one that says so
+    assert sessions == 2
     for _ in range(200):
         word = talk.ask()
         assert word != "alarm_info"

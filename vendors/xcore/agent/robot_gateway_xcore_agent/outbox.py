@@ -29,6 +29,7 @@ class Outbox:
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
         self._owed: Deque[bytes] = deque()
+        self._kept: Deque[bool] = deque()  # of each that is owed: whether it must not be lost
         self._offset = 0
         self.n_owed = 0
         self.seq = 0
@@ -66,16 +67,22 @@ class Outbox:
         message.update(members)
         data = line(message, rest)
         self.seq += 1
-        self._owe(data)
+        self._owe(data, kept=kind not in ("state", "closing"))
+
+    @property
+    def n_unsent(self) -> int:
+        """How many messages are owed that must not be lost; one that has begun to leave counts too."""
+        return sum(self._kept)
 
     def bare(self, kind: str, members: Members) -> None:
         """Owe a message without a sequence number: hello, result, closing."""
         message: Members = {"type": kind}
         message.update(members)
-        self._owe(line(message))
+        self._owe(line(message), kept=False)
 
-    def _owe(self, data: bytes) -> None:
+    def _owe(self, data: bytes, *, kept: bool) -> None:
         self._owed.append(data)
+        self._kept.append(kept)
         self.n_owed += len(data)
         if self.n_owed > self._limits.owed_bytes:
             raise OverflowedError(f"{self.n_owed} bytes are unread")
@@ -90,4 +97,5 @@ class Outbox:
         self._offset += n_bytes
         if self._offset == len(self._owed[0]):
             self._owed.popleft()
+            self._kept.popleft()
             self._offset = 0

@@ -164,7 +164,7 @@ class Service:
         n_expected = next(self._tickets) + 1
         self._n_taken += 1  # this look's own ticket
         missing = n_expected - self._n_taken - len(self._handed)
-        self.n_lost = self._n_counted + max(0, min(self._n_missing, missing))
+        self.n_lost = self._n_counted + self.stream.n_cut + max(0, min(self._n_missing, missing))
         self._n_missing = missing
 
     def _say(self) -> None:

@@ -49,6 +49,8 @@ class Stream:
         """What the connected gateway is owed; None while there is none."""
         self.n_connections = 0
         self.n_rejected = 0
+        self.n_cut = 0
+        """Messages that must not be lost, but were cut off with their connection."""
 
     def listen(self, host: str, port: int) -> None:
         """Open the listener; port 0 takes a free one.
@@ -215,6 +217,7 @@ class Stream:
                 while self.outbox.n_owed:
                     self.outbox.sent(self._peer.send(self.outbox.chunk()))
         n_dropped = self.outbox.n_state_dropped
+        self.n_cut += self.outbox.n_unsent
         log.info("session.closed reason=%r n_dropped=%d n_rejected=%d", reason, n_dropped, self.n_rejected)
         with contextlib.suppress(OSError):
             self._peer.close()
