@@ -27,6 +27,7 @@ class Polled:
         self._request = request
         self._outstanding = False
         self._waited = 0
+        self._fed = False
 
     @property
     def ready(self) -> bool:
@@ -59,6 +60,9 @@ class Polled:
         if self._outstanding:
             return b""
         if self._decoder.pending:
+            fed, self._fed = self._fed, False
+            if fed:  # it is bytes that wake an overdue tick, not only time
+                return b""
             self._waited += 1
             if self._waited < self.GRACE_TICKS:
                 return b""
@@ -72,6 +76,7 @@ class Polled:
         return b""
 
     def _in_step(self, events: list[Event]) -> list[Event]:
+        self._fed = True
         kept: list[Event] = []
         refused: list[Event] = []
         for event in events:

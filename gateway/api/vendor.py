@@ -61,8 +61,8 @@ class Protocol:
         options: A frozen msgspec struct of the protocol's own options; every field has a default.
         request: Makes the bytes that ask for one frame from the options; None where the controller pushes.
         make_reader: Makes a decoder that only reads, for recordings; None: the framing's.
-        make_decoders: Makes, from a robot's options and the rate it is asked at (0: it is not), what makes the decoder of
-            each of its sessions: for a protocol with a discipline of its own. What one session learns for the next
+        make_decoders: Makes, from a robot's options and the rate it is asked at (0: it is not), what makes the decoder
+            of each of its sessions: for a protocol with a discipline of its own. What one session learns for the next
             ones stays between the two.
         tick_s: Time between ticks of such a decoder, in s: its retries.
         handshake_s: Time that a session may take to its first good frame, in s; None: `stale_s`.

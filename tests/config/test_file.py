@@ -37,8 +37,9 @@ class CndeOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError("udp cannot be fast")
 
 _framing = _rainbow.protocols[0].framing
+_estop = tuple(row for row in _rainbow.protocols[0].signals if row.key == "status.e_stopped")
 VENDOR = Vendor(name="kilo", title="Kilo Arms", protocols=(
-    Protocol(name="cnde", title="Pushed", port=20005, framing=_framing, signals=(), options=CndeOptions),
+    Protocol(name="cnde", title="Pushed", port=20005, framing=_framing, signals=_estop, options=CndeOptions),
     Protocol(name="legacy", title="Old", port=8083, framing=_framing, signals=(), rate_hz=10.0, stale_s=0.5),
 ))
 """
@@ -433,7 +434,7 @@ def test_what_is_not_set_or_broken_is_printed_back_as_a_comment(registry: Regist
         "# off, the vendor is broken: cannot be imported: ZeroDivisionError: division by zero",
         'protocol = "x"',
         "# rate_hz: the controller sets it",
-        "# estop_polarity is not set: e_stopped stays null",
+        "# estop_polarity is not set: e_stopped is null where the manual does not state it",
         "# note is not set",
         "masks = [1, 2]",
         "fast = false",

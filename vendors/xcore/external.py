@@ -28,6 +28,7 @@ from vendors.xcore.external_words import CONTROL_WORDS, FLAGS, LONGEST, RECORD, 
 _LONGEST_SUFFIX = 8
 _STRIKES = 2
 _SHOWN = 40  # bytes of an answer that a message shows
+_BAD_ANSWER = {"answer", "encoding"}
 _GRACE_TICKS = 5  # unexplained bytes may wait so long for a rest that explains them
 
 
@@ -125,7 +126,6 @@ class Answers:
     """
 
     ready = True
-    notes: Sequence[str] = ()
     gaps = None
 
     def __init__(self, suffix: str, axes: int) -> None:
@@ -135,6 +135,11 @@ class Answers:
         self._given_up = b""  # what came of an answer before its word was asked again
         self._may_follow = False  # the suffix of a yes or no, which may come or not
         self.asked_for: Word | None = None
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """Nothing: who only reads knows of no session."""
+        return ()
 
     @property
     def pending(self) -> int:
@@ -311,7 +316,12 @@ class ExternalDecoder(Answers):
         self._waited = 0
         self._fed = False
         self._heard = False
-        self.notes = learned.notes()
+        self._strange_answers: dict[str, str] = {}  # by word: why its last answer was rejected
+
+    @property
+    def notes(self) -> list[str]:
+        """What the operator should know of the words and of their answers."""
+        return [*self._learned.notes(), *self._strange_answers.values()]
 
     def feed(self, data: bytes) -> list[Event]:
         """Take received bytes; the outstanding question may be answered by them."""
@@ -322,6 +332,10 @@ class ExternalDecoder(Answers):
             self._waited = 0
             self._heard = True
             self._learned.answered.add(word.name)
+            self._strange_answers.pop(word.name, None)
+            bad = [event.detail for event in events if type(event) is Reject and event.reason in _BAD_ANSWER]
+            if bad:
+                self._strange_answers[word.name] = f"the answer is of no use: {bad[0]}"
         return events
 
     def end(self) -> list[Reject]:
