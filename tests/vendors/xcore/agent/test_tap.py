@@ -340,7 +340,7 @@ def test_a_taken_port_fails_no_application(sdk: Any) -> None:
 
 
 FORKING = """
-import json, os, socket, sys, warnings
+import json, os, socket, sys, time, warnings
 warnings.simplefilter("ignore", DeprecationWarning)
 from robot_gateway_xcore_agent import tap, tap_of
 class Robot:
@@ -361,6 +361,7 @@ assert (issued["cmdID"], issued["commands"]) == ("went", [{"duration_": 2}])
 read, write = os.pipe()
 child = os.fork()
 if child == 0:
+    os.close(write)  # so that it ends with its parent, whatever happens there
     assert tap_of(robot).address is None
     for _ in range(1000):
         assert robot.moveAppend([], None, {}) == "went"
@@ -370,8 +371,14 @@ tap_of(robot).close()
 gateway.settimeout(5)
 while lines.readline():
     pass
-with socket.create_server(address):
-    pass
+for attempt in range(200):  # the child lets go of its copies as soon as it runs
+    try:
+        socket.create_server(address).close()
+        break
+    except OSError:
+        time.sleep(0.05)
+else:
+    raise SystemExit("the child holds the port")
 os.write(write, b"x")
 assert os.waitpid(child, 0)[1] == 0
 print("ended")
