@@ -199,3 +199,26 @@ def test_a_kept_session_of_such_frames_stays_open() -> None:
     run_jumping(main)
     (silence,) = log.silences
     assert silence.startswith("incompatible: connected, 16 bytes came, but no good frame; last reject: size")
+
+
+def test_what_came_while_the_loop_stood_still_is_read_before_silence_is_told() -> None:
+    log = Log()
+
+    async def main() -> None:
+        connection = FakeConnection()
+        connection.push(toy.frame())
+        one = session(connection, log, pushed=True)
+        async with anyio.create_task_group() as tasks:
+
+            async def read() -> None:
+                with pytest.raises(LinkStale):
+                    await one.run()
+
+            tasks.start_soon(read)
+            await anyio.sleep(1.005)  # the deadline has passed, and only now does the loop see what has come
+            for _ in range(3):
+                connection.push(toy.frame())
+
+    run_jumping(main)
+    assert sum(isinstance(event, Frame) for event in log.events) == 4
+    assert log.frames_s[-1] - log.frames_s[0] == pytest.approx(1.005, abs=0.02)
