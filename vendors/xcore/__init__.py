@@ -17,6 +17,7 @@ EXTERNAL = Protocol(
     make_decoders=external.make_decoders,
     rate_hz=10.0,
     max_rate_hz=100.0,
+    quiet=0.5,
     slowest_s=external.slowest_s,
     stale_s=5.0,
     outgoing=(external.OUTGOING,),
