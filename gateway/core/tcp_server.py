@@ -19,8 +19,9 @@ from gateway.core.transport import CONNECT_TIMEOUT_S, Connection, TcpConnection,
 from gateway.errors import LinkClosed
 
 CALL_TIMEOUT_S = 10.0
-# Calls that wait in the system's queue until the loop has its next turn, and those that it looks at in one turn.
-BACKLOG = 128
+# Calls that wait in the system's queue until the loop has its next turn, and those that it takes in one turn. Where the
+# queue is full, a caller is not heard until it repeats itself, after a second.
+BACKLOG = 1024
 MOST_IN_A_TURN = 64
 # A session that has heard nothing for so long gives way to the controller's next call.
 QUIET_S = 1.0
