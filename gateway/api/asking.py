@@ -57,10 +57,10 @@ class Rota:
         """
         for name, step in self._steps.items():
             self._turns[name] += step
-        self._last = name = self._due() if among is None else self._first(among)
-        if name is not None:
-            self._turns[name] -= 1.0
-        return name
+        self._last = self._due() if among is None else self._first(among)
+        if self._last is not None:
+            self._turns[self._last] -= 1.0
+        return self._last
 
     def drop(self, name: str) -> None:
         """Ask a question no more; the others share what it leaves."""

@@ -110,9 +110,11 @@ class Word:
     @property
     def kind(self) -> str:
         """What its answer looks like; an answer of one kind is none of another."""
-        if self.parse in {_text, _task}:
+        if self.parse is None:
+            return "flag"
+        if self.value.type is str:
             return "text"
-        return {None: "flag", _pose: "pose"}.get(self.parse, "joints")
+        return "pose" if self.parse is _pose else "joints"
 
     def told_in(self, text: str) -> str:
         """An answer without the prefix that may name its word: `Jnt_vel : `.
