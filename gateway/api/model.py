@@ -443,7 +443,10 @@ class CommandFeedback(msgspec.Struct, frozen=True, kw_only=True):
 class CommandsMissed(msgspec.Struct, frozen=True, kw_only=True):
     """What the stream itself has lost, as its sender says: `to` of `command.missed`."""
 
-    count: Annotated[int, _is("How many messages, or command objects of a list that could not be read.")]
+    count: Annotated[
+        int | None,
+        _is("How many messages, or command objects of a list that could not be read; null: nobody can know."),
+    ] = None
 
 
 Delivery = Literal["sample", "state", "event"]

@@ -1,9 +1,50 @@
-"""The discipline of protocols that answer one request with one frame."""
+"""The discipline of protocols whose answers do not say what they answer."""
 
 from __future__ import annotations
 
+from typing import Generic, TypeVar
+
 from gateway.api.decoder import Event, Frame, Refused, Reject
 from gateway.api.framing import FramedDecoder
+
+Question = TypeVar("Question")
+
+
+class Turn(Generic[Question]):
+    """One question is outstanding, never two, and nothing is awaited for ever.
+
+    Attributes:
+        question: The outstanding one; None: nothing was asked.
+        fed: Set with every received byte: a tick behind bytes is no time that passes.
+    """
+
+    __slots__ = ("_waited", "fed", "question")
+
+    # How many periods unexplained bytes may wait for the rest of their frame before the stream counts as out of step.
+    GRACE_TICKS = 5
+
+    def __init__(self) -> None:
+        self.question: Question | None = None
+        self.fed = False
+        self._waited = 0
+
+    def ask(self, question: Question) -> None:
+        """A question leaves."""
+        self.question = question
+        self._waited = 0
+
+    def answered(self) -> None:
+        """The answer has come."""
+        self.question = None
+        self._waited = 0
+
+    def overstays(self, ticks: int = GRACE_TICKS) -> bool:
+        """Count one more tick that waits; whether that makes so many without a byte received before them."""
+        fed, self.fed = self.fed, False
+        if fed:
+            return False
+        self._waited += 1
+        return self._waited >= ticks
 
 
 class Polled:
@@ -18,16 +59,13 @@ class Polled:
         request: The bytes that ask for one frame.
     """
 
-    # How many periods unexplained bytes may wait for the rest of their frame before the stream counts as out of step.
-    GRACE_TICKS = 5
+    GRACE_TICKS = Turn.GRACE_TICKS
     notes = ()
 
     def __init__(self, decoder: FramedDecoder, request: bytes) -> None:
         self._decoder = decoder
         self._request = request
-        self._outstanding = False
-        self._waited = 0
-        self._fed = False
+        self._turn = Turn[bytes]()
 
     @property
     def ready(self) -> bool:
@@ -42,8 +80,8 @@ class Polled:
     def feed(self, data: bytes) -> list[Event]:
         """Take received bytes; a frame without a request is rejected and ends the session."""
         events = self._decoder.feed(data)
-        if len(events) == 1 and self._outstanding and type(events[0]) is Frame:
-            self._outstanding = False
+        if len(events) == 1 and self._turn.question and type(events[0]) is Frame:
+            self._turn.question = None
             return events
         return self._in_step(events)
 
@@ -57,18 +95,13 @@ class Polled:
 
     def tick(self) -> bytes | Refused:
         """Return the request, or b"" while one is outstanding or received bytes are unexplained."""
-        if self._outstanding:
+        if self._turn.question:
             return b""
         if self._decoder.pending:
-            fed, self._fed = self._fed, False
-            if fed:  # it is bytes that wake an overdue tick, not only time
-                return b""
-            self._waited += 1
-            if self._waited < self.GRACE_TICKS:
+            if not self._turn.overstays():
                 return b""
             return Refused(f"{self._decoder.pending} bytes came that no request asked for", "out_of_step")
-        self._waited = 0
-        self._outstanding = True
+        self._turn.ask(self._request)
         return self._request
 
     def goodbye(self) -> bytes:
@@ -76,14 +109,14 @@ class Polled:
         return b""
 
     def _in_step(self, events: list[Event]) -> list[Event]:
-        self._fed = True
+        self._turn.fed = True
         kept: list[Event] = []
         refused: list[Event] = []
         for event in events:
             if type(event) is not Frame:
                 kept.append(event)
-            elif self._outstanding:
-                self._outstanding = False
+            elif self._turn.question:
+                self._turn.answered()
                 kept.append(event)
             else:
                 kept.append(

@@ -68,6 +68,8 @@ class Protocol:
         handshake_s: Time that a session may take to its first good frame, in s; None: `stale_s`.
         rate_hz: Default rate of the requests; None where the controller pushes.
         max_rate_hz: Highest rate that may be configured.
+        quiet: Share of the period without a question after an answer that took longer than it, where answers do not say
+            what they answer: one too many that comes meanwhile is noticed. 0: the next question leaves at once.
         stale_s: Default time without a good frame after which the link is stale.
         on_stale: `close`: the session is closed and opened again; `keep`: it stays, because closing may stop the robot.
         outgoing: Patterns (of the `re` module, matched whole) of every byte sequence that may ever be sent.
@@ -96,6 +98,7 @@ class Protocol:
     handshake_s: float | None = None
     rate_hz: float | None = None
     max_rate_hz: float | None = None
+    quiet: float = 0.0
     stale_s: float = 1.0
     on_stale: OnStale = "close"
     outgoing: tuple[bytes, ...] = ()

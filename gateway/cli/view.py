@@ -244,7 +244,8 @@ def _of_command(told: object) -> str:
     if not isinstance(told, dict):
         return UNKNOWN
     if "count" in told:
-        return f"{told['count']} messages were lost before they reached the gateway"
+        count = "an unknown number of" if told["count"] is None else told["count"]
+        return f"{count} messages were lost before they reached the gateway"
     if "object" in told:
         values = " ".join(f"{key}={_plain(value)}" for key, value in _leaves(told["object"]) if value not in ("", None))
         return f"{told['id']}  {told['index'] + 1} of {told['total']}  {told['type']}  {values}"

@@ -10,9 +10,9 @@ import anyio
 import msgspec
 import structlog
 
-from gateway.api.decoder import Decoder, Event, Frame, Occurrence, Refused, RefusedKind, Table
+from gateway.api.decoder import Decoder, Entry, Event, Frame, Occurrence, Refused, RefusedKind, Table
 from gateway.api.layout import Layout
-from gateway.api.model import GROUPS, EventKind, LinkState, Quality
+from gateway.api.model import GROUPS, CommandsMissed, EventKind, LinkState, Quality
 from gateway.api.model import Link as LinkData
 from gateway.api.normaliser import Normaliser
 from gateway.core.backoff import REFUSED_S, Backoff, backoff
@@ -155,6 +155,7 @@ class Link:
                 clock=self._clock,
                 tick_s=robot.protocol.tick_s,
                 first_s=robot.protocol.handshake_s,
+                quiet_s=robot.protocol.quiet / robot.rate_hz if robot.rate_hz else 0.0,
             )
             await session.run()
         finally:
@@ -261,6 +262,9 @@ class Link:
                 None if last_s is None else self._timeline_at(last_s),
             )
             self._raise(EventKind.LINK_LOST, LinkState.ONLINE, state, reason)
+            # What was under way when the session ended is lost, and nobody can count it.
+            missed = Entry(EventKind.COMMAND_MISSED, CommandsMissed(), {"reason": reason})
+            self._publisher.occurred((missed,), self._clock.monotonic())
         if state is LinkState.INCOMPATIBLE and self._outcome is not LinkState.INCOMPATIBLE:
             self._raise(EventKind.LINK_INCOMPATIBLE, self._outcome, state, reason)
         self._outcome = state
@@ -271,7 +275,7 @@ class Link:
         log.warning("link.lost", reason=reason, state=state.value, peer=self._connector.peer)
 
     def _timeline_at(self, monotonic_s: float) -> int:
-        ago_us = int((self._clock.monotonic() - monotonic_s) * 1e6)
+        ago_us = round((self._clock.monotonic() - monotonic_s) * 1e6)
         return self._timeline.now() - ago_us
 
     def _next_epoch(self) -> str:

@@ -19,6 +19,8 @@ _LAZY_SHARE = 0.8
 # Deadlines stand on whole milliseconds: a fresh one may lie so much behind its time.
 _WHOLE_MS = 0.002
 _GOODBYE_S = 0.5
+# Before silence is called so, whatever has come meanwhile is read.
+_LAST_LOOK_S = 0.02
 
 
 class Sink(Protocol):
@@ -43,6 +45,8 @@ class Session:
         period_s: Time between requests; None where nothing is asked.
         tick_s: Time between ticks of a decoder that asks for nothing but may have to repeat itself; None: never.
         first_s: Time that the first good frame may take; None: `stale_s`.
+        quiet_s: Time without a question after an answer that took longer than the period: what comes meanwhile answers
+            none. 0: the next question leaves at once.
         stale_s: Time without a good frame after which the session is stale.
         on_stale: Whether a stale session ends.
         clock: Gives the receive times.
@@ -60,6 +64,7 @@ class Session:
         clock: Clock,
         tick_s: float | None = None,
         first_s: float | None = None,
+        quiet_s: float = 0.0,
     ) -> None:
         self._connection = connection
         self._decoder = decoder
@@ -69,6 +74,8 @@ class Session:
         self._first_s = max(first_s or 0.0, stale_s)
         self._stale_s = stale_s
         self._on_stale = on_stale
+        self._quiet_s = quiet_s
+        self._quiet_until_s = -math.inf
         self._now = clock.monotonic
         self._wake = anyio.Event()
         self._owed = [decoder.outgoing()]
@@ -100,8 +107,7 @@ class Session:
     async def _read(self) -> None:
         stale_at_s = self._now() + self._first_s
         while True:
-            with anyio.CancelScope(deadline=deadline_s(stale_at_s)) as watchdog:
-                await self._read_under(watchdog)
+            await self._read_until_silent(stale_at_s)
             if self._on_stale == "keep":
                 self._sink.silent(self._silence(), "incompatible" if self._misfit else None)
             elif self._misfit:
@@ -109,6 +115,16 @@ class Session:
             else:
                 raise LinkStale(self._silence(self._decoder.end()))
             stale_at_s = math.inf
+
+    async def _read_until_silent(self, stale_at_s: float) -> None:
+        """Read until no good frame has come in time, and none is waiting: a loop that stood still reads late."""
+        with anyio.CancelScope(deadline=deadline_s(stale_at_s)) as watchdog:
+            await self._read_under(watchdog)
+        n_frames = -1
+        while n_frames != self._n_frames:
+            n_frames = self._n_frames
+            with anyio.CancelScope(deadline=deadline_s(self._now() + _LAST_LOOK_S)) as watchdog:
+                await self._read_under(watchdog)
 
     async def _read_under(self, watchdog: anyio.CancelScope) -> None:
         """Read; every good frame moves the deadline of the watchdog on."""
@@ -128,7 +144,9 @@ class Session:
                 elif isinstance(event, Refused):
                     raise LinkRefused(event.reason, event.kind)
             owed = self._decoder.outgoing()
-            if owed or self._overdue:
+            if self._overdue and self._quiet_s:
+                self._quiet_until_s = at_s + self._quiet_s
+            if owed or (self._overdue and not self._quiet_s):
                 self._owed.append(owed)
                 self._wake.set()
 
@@ -139,7 +157,8 @@ class Session:
             self._wake = anyio.Event()
             owed, self._owed = self._owed, []
             now = self._now()
-            if self._period_s and (self._overdue or now >= due_s):
+            overdue = self._overdue and not self._quiet_s
+            if self._period_s and (overdue or now >= max(due_s, self._quiet_until_s)):
                 asked = self._decoder.tick()
                 if isinstance(asked, Refused):
                     raise LinkRefused(asked.reason, asked.kind)
@@ -149,7 +168,7 @@ class Session:
                 due_s = max(due_s + self._period_s, now - self._period_s) if asked else now + self._period_s
             for data in filter(None, owed):  # each a send, and so a datagram, of its own
                 await self._connection.send(data)
-            with anyio.CancelScope(deadline=deadline_s(due_s)):
+            with anyio.CancelScope(deadline=deadline_s(max(due_s, self._quiet_until_s))):
                 await self._wake.wait()
 
     async def _say(self, data: bytes) -> None:

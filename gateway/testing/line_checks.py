@@ -12,7 +12,7 @@ from typing import cast
 
 from gateway.api.decoder import Decoder, Event, Frame, Occurrence, Refused, Reject, Skipped
 from gateway.api.lines import LONGEST
-from gateway.testing.playing import different, ending, is_json, opened, shown, tell
+from gateway.testing.playing import different, ending, is_json, opened, said, shown, tell
 from gateway.testing.streams import check_conserved, damaged, frames, pending
 from gateway.testing.subject import CheckFailed, DoesNotApply, Subject
 from gateway.testing.told import changes, check_told, is_kept, members_at, same_place, told, touched
@@ -55,7 +55,7 @@ def cut_lines_tell_nothing(subject: Subject) -> None:
         for size in range(1, len(vector.raw)):
             where = f"the first {size} bytes of {vector}"
             decoder = opened(subject, vector)
-            events = decoder.feed(vector.raw[:size])
+            events = said(decoder.feed(vector.raw[:size]))
             check_conserved(vector.raw[:size], events, decoder.end(), f"up to byte {size} of {vector}", blank=True)
             if any(isinstance(event, (Frame, Occurrence, Skipped)) for event in events):
                 raise CheckFailed(f"{where} are taken for {shown(events)}: wait for the end of the message")
@@ -76,7 +76,7 @@ def long_lines_cost_themselves(subject: Subject) -> None:
         events: list[Event] = []
         n_fed = 0
         for piece in _pieces(inside + end):
-            events += decoder.feed(piece)
+            events = said([*events, *decoder.feed(piece)])
             n_fed += len(piece)
             _check_held(decoder, events, n_fed, f"{vector}, made too long")
             if any(isinstance(event, Refused) for event in events):
@@ -133,13 +133,13 @@ def _hurts(raw: bytes) -> Iterator[tuple[int, str, bytes]]:
 def _play(subject: Subject, vector: Vector, hurt: bytes, where: str = "") -> list[Event]:
     """What a damaged message gives, and the good ones behind it, until the session is refused."""
     decoder = opened(subject, vector)
-    events = list(decoder.feed(hurt))
+    events = said(decoder.feed(hurt))
     stream = hurt
     for _ in range(_GOODS):
         if any(isinstance(event, Refused) for event in events):
             return events
         tell(decoder, vector.asked)
-        events += decoder.feed(vector.raw)
+        events = said([*events, *decoder.feed(vector.raw)])
         stream += vector.raw
     if not any(isinstance(event, Refused) for event in events):
         check_conserved(stream, events, decoder.end(), f"message by message ({where or vector})", blank=True)
@@ -211,7 +211,7 @@ def _check_found(vector: Vector, reference: Event, events: Sequence[Event], star
 
 def _check_cut(subject: Subject, vector: Vector, reference: Event, cut: bytes, where: str) -> None:
     decoder = opened(subject, vector)
-    events = list(decoder.feed(cut))
+    events = said(decoder.feed(cut))
     for event in events:
         if isinstance(event, (Frame, Occurrence)) and is_json(vector):
             raise CheckFailed(f"{where}, then the end of a line, tell {event}: reject what is not whole")

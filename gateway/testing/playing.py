@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from gateway.api.decoder import AskedDecoder, Decoder, Event, Frame, Occurrence, Skipped
+from gateway.api.decoder import AskedDecoder, Decoder, Event, Frame, Occurrence, Reject, Skipped
+from gateway.api.model import EventKind
 from gateway.testing.subject import CheckFailed, Subject
 from gateway.testing.vectors import Vector
 
@@ -70,6 +71,20 @@ def opened(subject: Subject, vector: Vector) -> Decoder:
             )
     tell(decoder, vector.asked)
     return decoder
+
+
+def said(events: Iterable[Event]) -> list[Event]:
+    """Events without the notices that a rejected message may have held commands: they tell nothing of the robot."""
+    found: list[Event] = []
+    for event in events:
+        behind = bool(found) and isinstance(found[-1], Reject)
+        if not (behind and isinstance(event, Occurrence) and not event.raw and _missed_alone(event)):
+            found.append(event)
+    return found
+
+
+def _missed_alone(event: Occurrence) -> bool:
+    return all(entry.kind is EventKind.COMMAND_MISSED for entry in event.entries)
 
 
 def shown(events: Sequence[Event]) -> str:

@@ -28,7 +28,7 @@ def only_allowed_bytes_are_sent(subject: Subject) -> None:
         asked: bytes | Refused = b""
         for number in range(_PATIENCE):
             vector = subject.vectors[number % len(subject.vectors)]
-            known = _answers(subject).get(asked) if isinstance(asked, bytes) and number % 3 else None
+            known = answers_of(subject).get(asked) if isinstance(asked, bytes) and number % 3 else None
             decoder.feed(known or (vector.raw[: len(vector.raw) // 2] if number % 7 == 0 else vector.raw))
             _check_sent(subject, decoder.outgoing(), "bytes owed")
             asked = decoder.tick()
@@ -41,16 +41,16 @@ def only_allowed_bytes_are_sent(subject: Subject) -> None:
 
 def one_request_is_outstanding(subject: Subject) -> None:
     """A polled decoder sends the next request only after the answer to the last; a pushed one never asks."""
-    decoder = _session(subject)
+    decoder = live_session(subject)
     if not subject.polls:
         if subject.protocol.outgoing:
             raise DoesNotApply(f"{PUSHED}, and what it sends is a handshake: only_allowed_bytes_are_sent looks at it")
         if any(decoder.tick() for _ in range(_PATIENCE)):
             raise CheckFailed("a protocol that pushes asks for frames: state its request, or send nothing")
         return
-    request = _expect_request(subject, decoder, "first")
-    for _ in range(max(1, len(_answers(subject)))):
-        answer = _answer(subject, request)
+    request = expect_request(subject, decoder, "first")
+    for _ in range(max(1, len(answers_of(subject)))):
+        answer = answer_to(subject, request)
         events: list[Event] = []
         # Each tick is time that passes: a text protocol may give up an answer that takes too long.
         looks = {0, len(answer) // 2, len(answer) - 1} if subject.protocol.records else range(len(answer))
@@ -63,8 +63,8 @@ def one_request_is_outstanding(subject: Subject) -> None:
                 f"the whole answer to {request!r}, byte by byte, gives no frame: wait for its end, or for the length "
                 "that the header promises"
             )
-        request = _expect_request(subject, decoder, "next")
-    answer = _answer(subject, request)
+        request = expect_request(subject, decoder, "next")
+    answer = answer_to(subject, request)
     damaged = decoder.feed(b"\0" * len(answer))
     if frames(damaged):
         raise CheckFailed("zeros are taken for the answer: check the header")
@@ -77,8 +77,8 @@ def skipped_frames_answer_nothing(subject: Subject) -> None:
     if not skipped:
         raise DoesNotApply("every frame of the protocol carries state")
     for vector in skipped:
-        decoder = _session(subject)
-        answer = _answer(subject, _expect_request(subject, decoder, "first"))
+        decoder = live_session(subject)
+        answer = answer_to(subject, expect_request(subject, decoder, "first"))
         if frames(decoder.feed(vector.raw)):
             raise CheckFailed(f"{vector} gives a frame: it carries no state")
         _expect_silence(decoder, f"{vector} has come, which carries no state")
@@ -90,12 +90,12 @@ def unrequested_frames_end_the_session(subject: Subject) -> None:
     """A frame that nobody asked for, a second answer, or bytes that stay unexplained mean: out of step."""
     for session in subject.sessions:
         answer = session[0].raw
-        _expect_refusal(_session(subject).feed(answer), 0, "a frame that nobody asked for")
-        decoder = _session(subject)
-        _expect_request(subject, decoder, "first")
+        _expect_refusal(live_session(subject).feed(answer), 0, "a frame that nobody asked for")
+        decoder = live_session(subject)
+        expect_request(subject, decoder, "first")
         _expect_refusal(decoder.feed(answer + answer), 1, "a second answer behind the first")
         for size in (1, len(answer) // 2, len(answer) - 1):
-            decoder = _session(subject)
+            decoder = live_session(subject)
             decoder.feed(answer[:size])
             asked = [decoder.tick() for _ in range(_PATIENCE)]
             sent = [one for one in asked if not isinstance(one, Refused) and one]
@@ -111,10 +111,10 @@ def late_answers_answer_nothing(subject: Subject) -> None:
         for size in {1, len(late.raw) // 2, len(late.raw) - 1, len(late.raw)} - {0}:
             stray = late.raw[:size]
             where = f"{size} bytes of {late}, which nobody asked for,"
-            decoder = _session(subject)
+            decoder = live_session(subject)
             _follow(subject, decoder, decoder.feed(stray), b"", where)
-            decoder = _session(subject)
-            answer = _answer(subject, _expect_request(subject, decoder, "first"))
+            decoder = live_session(subject)
+            answer = answer_to(subject, expect_request(subject, decoder, "first"))
             _follow(subject, decoder, decoder.feed(answer + stray), answer, f"{where} behind an answer")
 
 
@@ -123,11 +123,11 @@ def requests_never_outrun_answers(subject: Subject) -> None:
     chance = subject.random()
     waiting = last = b""
     skipped = _unasked(subject)
-    decoder, asked, answered = _session(subject), 0, 0
+    decoder, asked, answered = live_session(subject), 0, 0
     for step in range(_WALK):
         what = chance.randrange(8)
         if what <= 1 and asked == answered + 1 and not waiting:
-            waiting = _answer(subject, last) if subject.protocol.records else chance.choice(subject.sessions[0]).raw
+            waiting = answer_to(subject, last) if subject.protocol.records else chance.choice(subject.sessions[0]).raw
         elif what == 2 and skipped and not waiting:  # noqa: PLR2004 - one of eight things that happen
             waiting = chance.choice(skipped).raw
         elif what <= 4:  # noqa: PLR2004 - the same
@@ -142,7 +142,7 @@ def requests_never_outrun_answers(subject: Subject) -> None:
         else:
             request = decoder.tick()
             if isinstance(request, Refused):
-                decoder, asked, answered, waiting = _session(subject), 0, 0, b""
+                decoder, asked, answered, waiting = live_session(subject), 0, 0, b""
             elif request:
                 asked, last = asked + 1, request
         if asked > answered + 1:
@@ -172,17 +172,17 @@ def _values(type_: inspect.Type) -> list[object]:
     return [False, True] if isinstance(type_, inspect.BoolType) else []
 
 
-def _answers(subject: Subject) -> dict[bytes, bytes]:
+def answers_of(subject: Subject) -> dict[bytes, bytes]:
     """Good answers by what was asked, where vectors say it: those that tell something first."""
     ranked = sorted(subject.vectors, key=lambda vector: vector.layout is None)
     return {vector.asked: vector.raw for vector in reversed(ranked) if vector.asked is not None}
 
 
-def _answer(subject: Subject, request: bytes) -> bytes:
+def answer_to(subject: Subject, request: bytes) -> bytes:
     """A good answer to a request."""
     if subject.protocol.framing is not None:
         return subject.sessions[0][0].raw
-    answers = _answers(subject)
+    answers = answers_of(subject)
     if answers and request not in answers:
         raise CheckFailed(f"no vector says what {request!r} is answered with: add one with `asked` and a value")
     return answers[request] if answers else subject.states[0].raw
@@ -200,7 +200,7 @@ def _unasked(subject: Subject) -> list[Vector]:
     return [vector for vector in subject.skipped if vector.asked is None and not vector.before]
 
 
-def _session(subject: Subject) -> Decoder:
+def live_session(subject: Subject) -> Decoder:
     """A decoder of a live session whose handshake, where there is one, is not looked at."""
     decoder = subject.protocol.decoder(subject.options())
     decoder.outgoing()
@@ -219,7 +219,7 @@ def _follow(subject: Subject, decoder: Decoder, events: list[Event], wanted: byt
         if isinstance(request, Refused):
             return
         if request:
-            answer = _answer(subject, request)
+            answer = answer_to(subject, request)
             found = decoder.feed(answer)
             mixed = [
                 event
@@ -244,7 +244,8 @@ def _check_sent(subject: Subject, sent: bytes, what: str) -> None:
         )
 
 
-def _expect_request(subject: Subject, decoder: Decoder, which: str) -> bytes:
+def expect_request(subject: Subject, decoder: Decoder, which: str) -> bytes:
+    """What is asked now, or soon; it must be something."""
     request = decoder.tick()
     for _ in range(_PATIENCE if subject.protocol.records else 0):
         request = request or decoder.tick()  # nothing may be due yet

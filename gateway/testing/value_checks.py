@@ -12,7 +12,7 @@ from gateway.api.decoder import Frame, Occurrence
 from gateway.api.lines import LONGEST
 from gateway.api.model import FRAME_GROUPS, GROUPS
 from gateway.api.normaliser import Normaliser
-from gateway.testing.playing import different, ending, is_json, opened
+from gateway.testing.playing import different, ending, is_json, opened, said
 from gateway.testing.readings import read_group, tells, value_at
 from gateway.testing.subject import CheckFailed, DoesNotApply, Subject
 from gateway.testing.told import check_told
@@ -67,7 +67,7 @@ def json_is_taken_with_care(subject: Subject) -> None:
         payload, end = vector.raw.rstrip(), ending(subject, vector)
         for shape in _NO_OBJECTS:
             hurt = shape.replace(b"%s", payload) + end
-            for event in opened(subject, vector).feed(hurt):
+            for event in said(opened(subject, vector).feed(hurt)):
                 if isinstance(event, (Frame, Occurrence)):
                     raise CheckFailed(f"{vector} inside {shape.decode()} tells {event}: take one object a line")
         for where, hurt in _with_others(payload):

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.api.asking import Rota
+from gateway.api.asking import Rota, turns_hz
 
 
 def asked(rota: Rota, turns: int) -> list[str | None]:
@@ -110,3 +110,40 @@ def test_whatever_is_wished_the_shares_are_kept_and_nobody_waits_for_ever(
         assert n_asked == pytest.approx(turns * step, abs=len(wanted) + 1)
         longest = max(after - before for before, after in itertools.pairwise(places))
         assert longest <= 2 / step + len(wanted)
+
+
+def test_two_of_a_kind_never_follow_each_other() -> None:
+    kinds = {"a": "flag", "b": "flag", "c": "text", "d": "text"}
+    found = asked(Rota({"a": 4.0, "b": 1.0, "c": 2.0, "d": 1.0}, 10.0, kinds), 1000)
+    assert not [pair for pair in itertools.pairwise(found) if pair in {("a", "b"), ("b", "a"), ("c", "d"), ("d", "c")}]
+    assert Counter(found) == {
+        name: pytest.approx(100 * wish, abs=3) for name, wish in {"a": 4, "b": 1, "c": 2, "d": 1, None: 2}.items()
+    }
+
+
+def test_a_turn_stays_empty_between_two_of_a_kind_where_nothing_else_is_wished() -> None:
+    found = asked(Rota({"a": 5.0, "b": 5.0}, 10.0, {"a": "flag", "b": "flag"}), 1000)
+    assert all(one is None or after is None or one == after for one, after in itertools.pairwise(found))
+    assert Counter(found) == {name: pytest.approx(n, abs=3) for name, n in {"a": 250, "b": 250, None: 500}.items()}
+    assert turns_hz({"a": 5.0, "b": 5.0, "c": 1.0}, {"a": "flag", "b": "flag", "c": "text"}) == 20.0
+    assert turns_hz({"a": 5.0, "b": 0.0, "c": 1.0}, {"a": "flag", "b": "flag", "c": "text"}) == 6.0
+
+
+def test_only_some_may_be_asked_now_due_or_not() -> None:
+    rota = Rota({"a": 1.0, "b": 0.1, "c": 0.2}, 10.0)
+    assert [rota.next({"b", "c"}) for _ in range(3)] == ["c", "b", "c"]
+    assert rota.next({"x"}) is None
+
+
+@given(wishes, st.floats(1.0, 100.0), st.lists(st.sampled_from("xyz"), min_size=8, max_size=8))
+def test_kinds_keep_the_shares_and_nobody_waits_for_ever(
+    wanted: dict[str, float], budget_hz: float, told: list[str]
+) -> None:
+    kinds = dict(zip("abcdefgh", told, strict=True))
+    turns = 2000
+    found = asked(Rota(wanted, budget_hz, kinds), turns)
+    shared_hz = max(budget_hz, turns_hz(wanted, kinds))
+    for one, after in itertools.pairwise(found):
+        assert one is None or after is None or one == after or kinds[one] != kinds[after]
+    for name, wish in wanted.items():
+        assert found.count(name) == pytest.approx(turns * wish / shared_hz, abs=2 * len(wanted) + 2)

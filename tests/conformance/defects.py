@@ -107,6 +107,16 @@ def keeps_strays(self: object, plain: Plain, data: bytes) -> object:
     return plain(self, data)
 
 
+def tolerant(_self: object, _plain: Plain, events: list[Event]) -> list[Event]:
+    """Go on behind an answer that cannot be one."""
+    return events
+
+
+def reads_anything(self: object, plain: Plain, word: str, raw: bytes) -> object:
+    """Take any text for a mode."""
+    return raw.decode().strip() if word == "mode" else plain(self, word, raw)
+
+
 def impatient(self: object, _plain: Plain) -> bytes:
     """Ask in every period."""
     self.__dict__["_word"] = self.__dict__["_rota"].next() or "mode"

@@ -203,7 +203,7 @@ class Trusting(Polled):
 
     def feed(self, data: bytes) -> list[Event]:
         """Take bytes."""
-        self._outstanding = False
+        self._turn.answered()
         return self._decoder.feed(data)
 
 
@@ -214,7 +214,7 @@ class EasilyAnswered(Polled):
         """Take bytes."""
         events = super().feed(data)
         if any(isinstance(event, Skipped) for event in events):
-            self._outstanding = False
+            self._turn.answered()
         return events
 
 

@@ -393,6 +393,18 @@ DEFECTS: Mapping[str, tuple[str, Plant, str, str]] = {
         "late_answers_answer_nothing",
         "as a part of the next answer",
     ),
+    "an answer too many that is taken for another one": (
+        "mike",
+        asking(read=defects.reads_anything),
+        "an_answer_too_many_is_noticed",
+        "reject what cannot be the answer to the question",
+    ),
+    "an answer too many that is lived with": (
+        "mike",
+        asking(refusing=defects.tolerant),
+        "an_answer_too_many_is_noticed",
+        "is never noticed: refuse the session",
+    ),
     "a question that no vector answers": (
         "mike",
         edited('asked = "volts\\r"', 'asked = "volt\\r"'),

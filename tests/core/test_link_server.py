@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
@@ -152,29 +153,50 @@ def test_a_stranger_that_calls_between_two_sessions_stays_in_the_notes_of_the_ne
     in_cell(look)
 
 
-def test_a_stranger_that_calls_during_a_session_disturbs_nothing_and_is_counted_after_it() -> None:
+def test_a_stranger_that_calls_during_a_session_is_refused_and_counted_at_once_and_disturbs_nothing() -> None:
     async def look(cell: Cell) -> None:
         async with cell.calling(VALUES):
             await anyio.sleep(1)
-            with cell.call(STRANGER):
-                await anyio.sleep(5)
-                assert cell.link.state == "ONLINE"
+            with cell.call(STRANGER) as stranger:
+                await anyio.sleep(0.1)
+                assert stranger.recv(10) == b""
+            await anyio.sleep(2)
+            assert cell.stats.rejects == {"foreign_peer": 1}
+            assert cell.link.notes == ["calls from 127.0.0.9 were refused: only 127.0.0.2 may call (once)"]
+            assert cell.link.state == "ONLINE"
+            await anyio.sleep(5)
         await anyio.sleep(2)
-        assert cell.stats.rejects == {"foreign_peer": 1}
         assert cell.kinds == ["link.online", "link.lost"]
 
     in_cell(look)
 
 
-def test_a_controller_that_was_started_anew_is_taken_when_the_old_session_has_gone_silent() -> None:
+def test_a_controller_that_was_started_anew_is_taken_at_once_and_the_silent_session_ends() -> None:
     async def look(cell: Cell) -> None:
         with cell.call() as dead:
-            await anyio.sleep(1)
+            await anyio.sleep(1.1)
             assert cell.link.state == "HANDSHAKING"
             async with cell.calling(VALUES):
-                await anyio.sleep(4)
+                await anyio.sleep(0.1)
+                assert cell.link.last_error == "the controller has called again"
+                await anyio.sleep(0.4)
                 assert cell.link.state == "ONLINE"
                 assert dead.recv(1000).endswith(b"bye\n")
+        await anyio.sleep(0.1)
+
+    in_cell(look)
+
+
+def test_a_second_client_of_the_controller_does_not_disturb_the_session_that_works() -> None:
+    async def look(cell: Cell) -> None:
+        async with cell.calling(VALUES):
+            await anyio.sleep(1)
+            with cell.call() as second:
+                await anyio.sleep(10)
+                assert cell.link.state == "ONLINE"
+                assert cell.kinds == ["link.online"]
+                with contextlib.suppress(BlockingIOError):  # it is neither asked nor hung up on
+                    assert second.recv(10) is None
         await anyio.sleep(0.1)
 
     in_cell(look)

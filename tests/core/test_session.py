@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import asyncio
+import itertools
 from collections.abc import Callable, Iterable, Sequence
 
 import anyio
@@ -199,3 +201,87 @@ def test_a_kept_session_of_such_frames_stays_open() -> None:
     run_jumping(main)
     (silence,) = log.silences
     assert silence.startswith("incompatible: connected, 16 bytes came, but no good frame; last reject: size")
+
+
+def test_what_came_while_the_loop_stood_still_is_read_before_silence_is_told() -> None:
+    log = Log()
+
+    async def main() -> None:
+        connection = FakeConnection()
+        connection.push(toy.frame())
+        one = session(connection, log, pushed=True)
+        async with anyio.create_task_group() as tasks:
+
+            async def read() -> None:
+                with pytest.raises(LinkStale):
+                    await one.run()
+
+            tasks.start_soon(read)
+            await anyio.sleep(1.005)  # the deadline has passed, and only now does the loop see what has come
+            for _ in range(3):
+                connection.push(toy.frame())
+
+    run_jumping(main)
+    assert sum(isinstance(event, Frame) for event in log.events) == 4
+    assert log.frames_s[-1] - log.frames_s[0] == pytest.approx(1.005, abs=0.02)
+
+
+def quiet(delay_s: float, surplus_s: float | None = None) -> tuple[list[float], Log, LinkError | None]:
+    """Ask for a second, with quiet after an answer that takes too long; one answer may come again, so much later."""
+    log = Log()
+    asked_s: list[float] = []
+    ended: list[LinkError] = []
+
+    async def main() -> None:
+        def answer(_: bytes) -> tuple[bytes, ...]:
+            asked_s.append(anyio.current_time())
+            asyncio.get_running_loop().call_later(delay_s, connection.push, toy.frame())
+            return ()
+
+        connection = FakeConnection(answer, 0.0)
+        protocol = toy.POLLED
+        one = Session(
+            connection,
+            protocol.decoder(protocol.options()),
+            log,
+            period_s=0.1,
+            stale_s=1.0,
+            on_stale="close",
+            clock=LoopClock(),
+            quiet_s=0.05,
+        )
+
+        async def run() -> None:
+            try:
+                await one.run()
+            except LinkError as error:
+                ended.append(error)
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(run)
+            if surplus_s is not None:
+                await anyio.sleep(delay_s + surplus_s)
+                connection.push(toy.frame())
+            await anyio.sleep(1.0)
+            tasks.cancel_scope.cancel()
+
+    run_jumping(main)
+    return asked_s, log, ended[0] if ended else None
+
+
+@pytest.mark.parametrize(("delay_s", "period_s"), [(0.01, 0.1), (0.09, 0.1), (0.15, 0.2), (0.19, 0.24)])
+def test_after_an_answer_that_takes_too_long_half_a_period_stays_quiet(delay_s: float, period_s: float) -> None:
+    asked_s, log, error = quiet(delay_s)
+    assert error is None
+    gaps = [after - before for before, after in itertools.pairwise(asked_s)]
+    assert all(period_s - 0.005 <= gap <= period_s + 0.05 for gap in gaps)
+    if delay_s > 0.1:
+        frames_s = zip(asked_s[1:], log.frames_s, strict=False)
+        assert all(asked - answered >= 0.05 - 0.002 for asked, answered in frames_s)
+
+
+def test_an_answer_too_many_that_comes_in_the_quiet_time_ends_the_session() -> None:
+    asked_s, log, error = quiet(0.15, surplus_s=0.02)
+    assert isinstance(error, LinkRefused)
+    assert error.kind == "out_of_step"
+    assert (len(asked_s), len(log.frames_s)) == (1, 1)

@@ -98,11 +98,11 @@ def test_a_handshake_may_take_longer_than_silence_later() -> None:
     error, _, _, _, took_s = run(lambda _: (), 10.0)
     assert isinstance(error, LinkStale)
     assert error.reason == "connected, but not one byte came within 10 s"
-    assert took_s == pytest.approx(10, abs=0.01)
+    assert took_s == pytest.approx(10, abs=0.03)
     left = iter(range(1))
     error, _, _, _, took_s = run(lambda _: (toy.frame(),) if next(left, None) is not None else (), 10.0)
     assert error.reason == "no good frame for 1 s"
-    assert took_s == pytest.approx(1, abs=0.01)
+    assert took_s == pytest.approx(1, abs=0.03)
 
 
 def test_the_end_of_a_datagram_ends_its_frames() -> None:

@@ -1,11 +1,12 @@
-"""The controller calls the gateway: one peer is let in, strangers are counted, and no call is lost or leaked."""
+"""The controller calls the gateway: one peer is let in, at any time, and no call is lost or leaked."""
 
 from __future__ import annotations
 
 import errno
 import gc
+import os
 import socket
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from types import SimpleNamespace
 from typing import cast
@@ -17,7 +18,7 @@ import pytest
 from gateway.app import connector, connector_of
 from gateway.core import tcp_server
 from gateway.core.settings import RobotSettings
-from gateway.core.tcp_server import BACKLOG, CALL_TIMEOUT_S, MOST_NAMED, OTHERS, TcpServer
+from gateway.core.tcp_server import CALL_TIMEOUT_S, MOST_IN_A_TURN, MOST_NAMED, OTHERS, QUIET_S, RETRY_S, TcpServer
 from gateway.core.transport import Connection, TcpClient
 from gateway.core.udp import UdpClient
 from gateway.errors import LinkClosed
@@ -45,6 +46,24 @@ async def heard(one: socket.socket) -> bytes:
     with anyio.fail_after(5):
         await anyio.wait_readable(one)
     return one.recv(100)
+
+
+async def until(fact: Callable[[], bool]) -> None:
+    """Let the loop run until something is so."""
+    with anyio.fail_after(5):
+        while not fact():
+            await anyio.lowlevel.checkpoint()
+
+
+def open_sockets() -> int:
+    """How many sockets this process has."""
+    found = 0
+    for name in os.listdir("/proc/self/fd"):  # noqa: PTH208 - a path is read for each
+        try:
+            found += os.readlink(f"/proc/self/fd/{name}").startswith("socket:")  # noqa: PTH115
+        except FileNotFoundError:  # that of the listing itself
+            continue
+    return found
 
 
 @asynccontextmanager
@@ -127,15 +146,27 @@ async def test_a_stranger_is_refused_and_counted_while_the_controller_is_waited_
         ]
 
 
-async def test_strangers_that_call_during_a_session_are_refused_by_the_next_connect() -> None:
+async def test_strangers_that_call_during_a_session_are_refused_at_once() -> None:
+    async with listening() as server:
+        with call(server) as controller:
+            connection = await connected(server)
+            before = open_sockets()
+            for number in range(1, 4):
+                with call(server, STRANGER) as stranger:
+                    assert await heard(stranger) == b""
+                    assert server.rejects == {"foreign_peer": number}
+            assert open_sockets() == before
+            controller.send(b"still here")
+            assert await connection.receive() == b"still here"
+            await connection.aclose()
+
+
+async def test_strangers_that_call_between_two_sessions_are_refused_at_once() -> None:
     async with listening() as server:
         with call(server):
-            connection = await connected(server)
-            with call(server, STRANGER) as stranger:
-                await connection.aclose()
-                with call(server):
-                    await (await connected(server)).aclose()
-                assert await heard(stranger) == b""
+            await (await connected(server)).aclose()
+        with call(server, STRANGER) as stranger:
+            assert await heard(stranger) == b""
         assert server.rejects == {"foreign_peer": 1}
 
 
@@ -151,19 +182,153 @@ async def test_more_strangers_than_are_kept_by_name_are_counted_together() -> No
         assert server.rejects == {"foreign_peer": MOST_NAMED + 5}
 
 
-async def test_a_controller_that_was_started_anew_is_found_by_the_next_connect() -> None:
+async def test_of_several_calls_the_controllers_newest_is_taken() -> None:
     async with listening() as server:
         half_open = call(server)
         before = await connected(server)
-        given_up, newest = call(server), call(server)
+        given_up = call(server)
+        await until(lambda: server._held is not None)
+        newest = call(server)
+        assert await heard(given_up) == b""
         await before.aclose()
         after = await connected(server)
         await after.send(b"ask")
         assert await heard(newest) == b"ask"
-        assert await heard(given_up) == b""
         await after.aclose()
         for one in (half_open, given_up, newest):
             one.close()
+
+
+def test_a_controller_that_calls_again_ends_the_silent_session() -> None:
+    async def look() -> None:
+        async with listening() as server:
+            half_open = call(server)
+            before = await server.connect()
+            await anyio.sleep(60)
+            start_s = anyio.current_time()
+            newest = call(server)
+            with pytest.raises(LinkClosed, match=r"^the controller has called again$"):
+                await before.receive()
+            assert anyio.current_time() - start_s == pytest.approx(0, abs=0.01)
+            await before.aclose()
+            after = await server.connect()
+            await after.send(b"ask")
+            assert await heard(newest) == b"ask"
+            await after.aclose()
+            half_open.close()
+            newest.close()
+
+    run_jumping(look)
+
+
+def test_a_session_that_waits_for_bytes_is_ended_too() -> None:
+    async def look() -> None:
+        async with listening() as server, anyio.create_task_group() as tasks:
+            half_open = call(server)
+            before = await server.connect()
+            start_s = anyio.current_time()
+            ended: list[float] = []
+
+            async def receive() -> None:
+                with pytest.raises(LinkClosed, match="has called again"):
+                    await before.receive()
+                ended.append(anyio.current_time())
+
+            tasks.start_soon(receive)
+            await anyio.sleep(QUIET_S / 2)
+            newest = call(server)
+            await anyio.sleep(QUIET_S)
+            assert ended == [pytest.approx(start_s + QUIET_S, abs=0.01)]
+            await before.aclose()
+            half_open.close()
+            newest.close()
+
+    run_jumping(look)
+
+
+def test_a_controller_that_calls_without_end_does_not_end_the_session_that_works() -> None:
+    async def look() -> None:
+        async with listening() as server:
+            speaking = call(server)
+            connection = await server.connect()
+            before = open_sockets()
+            calls: list[socket.socket] = []
+            for number in range(500):
+                calls.append(call(server))
+                if number % 50 == 0:  # each 0.5 s
+                    speaking.send(b"x")
+                    assert await connection.receive() == b"x"
+                await anyio.sleep(0.01)
+            assert open_sockets() == before + len(calls) + 1  # the newest is held
+            assert [one.recv(1) for one in calls[:-1]] == [b""] * (len(calls) - 1)
+            with pytest.raises(BlockingIOError):
+                calls[-1].recv(1)
+            await connection.aclose()
+            for one in (speaking, *calls):
+                one.close()
+        assert server.rejects == {}
+
+    run_jumping(look)
+
+
+def test_each_session_has_its_time_however_often_the_controller_calls() -> None:
+    async def look() -> None:
+        async with listening() as server, anyio.create_task_group() as tasks:
+            calls: list[socket.socket] = []
+
+            async def call_on_and_on() -> None:
+                while True:
+                    calls.append(call(server))
+                    await anyio.sleep(0.01)
+
+            tasks.start_soon(call_on_and_on)
+            start_s = anyio.current_time()
+            for _ in range(5):
+                connection = await server.connect()
+                with pytest.raises(LinkClosed, match=r"called again|closed the connection"):
+                    await connection.receive()
+                await connection.aclose()
+            assert anyio.current_time() - start_s == pytest.approx(5 * QUIET_S, abs=0.1)
+            tasks.cancel_scope.cancel()
+        for one in calls:
+            one.close()
+
+    run_jumping(look)
+
+
+@pytest.mark.parametrize("resets", [False, True])
+def test_a_second_call_that_was_hung_up_ends_no_session(resets: bool) -> None:  # noqa: FBT001
+    async def look() -> None:
+        async with listening() as server:
+            with call(server) as controller:
+                connection = await server.connect()
+                second = call(server)
+                await anyio.sleep(0.1)
+                if resets:
+                    second.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+                second.close()
+                with anyio.move_on_after(60):
+                    await connection.receive()
+                    pytest.fail("nothing came")
+                assert server._held is None
+                controller.send(b"still here")
+                assert await connection.receive() == b"still here"
+                await connection.aclose()
+
+    run_jumping(look)
+
+
+async def test_a_receive_that_is_cancelled_while_another_call_waits_is_cancelled() -> None:
+    async with listening() as server:
+        with call(server) as controller, call(server):
+            connection = await connected(server)
+            with call(server):
+                await until(lambda: server._held is not None)
+                with anyio.move_on_after(0.01) as scope:
+                    await connection.receive()
+                assert scope.cancelled_caught
+                controller.close()
+            await connection.aclose()
 
 
 async def test_a_call_between_two_sessions_is_not_refused() -> None:
@@ -465,43 +630,161 @@ def test_addresses_are_compared_without_their_zone() -> None:
     assert tcp_server._canonical("fe80::1%eth0") == tcp_server._canonical("FE80:0::1")
 
 
+def failing(monkeypatch: pytest.MonkeyPatch, *failures: OSError) -> list[OSError]:
+    """Let the next calls be taken with these failures."""
+    left = list(failures)
+    accept = socket.socket.accept
+
+    def broken(listener: socket.socket) -> object:
+        if left:
+            raise left.pop(0)
+        return accept(listener)
+
+    monkeypatch.setattr(socket.socket, "accept", broken)
+    return left
+
+
 async def test_a_socket_that_cannot_take_calls_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     async with listening() as server:
-        listener = cast("socket.socket", server._listener)
-        broken = Broken(listener, ConnectionAbortedError(errno.ECONNABORTED, "gone"), OSError(errno.EMFILE, "full"))
+        aborted = ConnectionAbortedError(errno.ECONNABORTED, "gone")
+        failing(monkeypatch, aborted, OSError(errno.EMFILE, "full"))
         with call(server):
-            monkeypatch.setattr(server, "_listener", broken)
             with pytest.raises(LinkClosed, match=r"cannot take calls on .*: Too many open files"):
-                await server.connect()
-            monkeypatch.setattr(server, "_listener", listener)
+                await connected(server)
             await (await connected(server)).aclose()
 
 
-class Broken:
-    """A listening socket whose first accepts fail."""
+def test_calls_that_could_not_be_taken_during_a_session_are_taken_a_little_later(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def look() -> None:
+        async with listening() as server:
+            with call(server):
+                connection = await server.connect()
+                left = failing(monkeypatch, OSError(errno.EMFILE, "full"), OSError(errno.EMFILE, "full"))
+                with call(server, STRANGER) as stranger:
+                    await anyio.sleep(RETRY_S / 2)
+                    assert len(left) == 1  # it is not tried without end
+                    await anyio.sleep(RETRY_S)
+                    assert (left, server.rejects) == ([], {})
+                    await anyio.sleep(RETRY_S)
+                    assert server.rejects == {"foreign_peer": 1}
+                    assert await heard(stranger) == b""
+                failing(monkeypatch, OSError(errno.EMFILE, "full"))
+                call(server, STRANGER).close()
+                await anyio.sleep(RETRY_S / 2)
+                await server.aclose()  # ends the retry, too
+                await anyio.sleep(2 * RETRY_S)
+                await connection.aclose()
 
-    def __init__(self, listener: socket.socket, *failures: OSError) -> None:
-        self._failures = list(failures)
-        self.fileno = listener.fileno
-
-    def accept(self) -> object:
-        raise self._failures.pop(0)
+    run_jumping(look)
 
 
 async def test_a_flood_of_strangers_leaves_the_controller_its_turn() -> None:
     async with listening() as server:
-        strangers = [call(server, STRANGER) for _ in range(BACKLOG - 1)]
+        strangers = [call(server, STRANGER) for _ in range(MOST_IN_A_TURN)]
         with call(server):
             await (await connected(server)).aclose()
         for one in strangers:
             one.close()
-        assert server.rejects == {"foreign_peer": BACKLOG - 1}
+        assert server.rejects == {"foreign_peer": MOST_IN_A_TURN}
+
+
+async def test_no_more_calls_are_taken_in_a_turn_than_the_loop_can_spare() -> None:
+    async with listening() as server:
+        listener = cast("socket.socket", server._listener)
+        strangers = [call(server, STRANGER) for _ in range(MOST_IN_A_TURN + 3)]
+        server._take_calls(listener)
+        assert server.rejects == {"foreign_peer": MOST_IN_A_TURN}
+        await until(lambda: server.rejects == {"foreign_peer": MOST_IN_A_TURN + 3})
+        for one in strangers:
+            one.close()
+
+
+async def test_a_controller_that_reboots_in_a_flood_of_strangers_is_taken_promptly() -> None:
+    before = open_sockets()
+    async with listening() as server:
+        half_open = call(server)
+        connection = await connected(server)
+        half_open.send(b"the last before the reboot")
+        assert await connection.receive() == b"the last before the reboot"
+
+        def flood() -> list[socket.socket]:
+            return [call(server, f"127.0.2.{number % 250 + 1}") for number in range(300)]
+
+        start_s = anyio.current_time()
+        strangers = await anyio.to_thread.run_sync(flood)
+        rebooted = await anyio.to_thread.run_sync(call, server)
+        with pytest.raises(LinkClosed, match="has called again"), anyio.fail_after(5):
+            await connection.receive()
+        await connection.aclose()
+        again = await connected(server)
+        await again.send(b"ask")
+        assert await heard(rebooted) == b"ask"
+        assert anyio.current_time() - start_s < QUIET_S + 2
+        assert server.rejects == {"foreign_peer": 300}
+        for one in strangers:
+            assert await heard(one) == b""
+        await again.aclose()
+        for one in (half_open, rebooted, *strangers):
+            one.close()
+    assert open_sockets() == before
+
+
+async def test_closing_ends_everything_but_the_connection_that_was_given_away() -> None:
+    before = open_sockets()
+    server = TcpServer("127.0.0.1", closed_port(), CONTROLLER)
+    with anyio.CancelScope() as scope:
+        scope.cancel()
+        await server.connect()
+    controller = call(server)
+    connection = await connected(server)
+    held = call(server)
+    await until(lambda: server._held is not None)
+    await server.aclose()
+    assert await heard(held) == b""
+    with pytest.raises(ConnectionRefusedError):
+        call(server)
+    await connection.send(b"bye")
+    assert await heard(controller) == b"bye"
+    await connection.aclose()
+    controller.close()
+    held.close()
+    await anyio.sleep(0.01)
+    assert open_sockets() == before
+
+
+async def test_a_cancelled_scope_closes_all_the_same() -> None:
+    before = open_sockets()
+    with anyio.CancelScope() as scope:
+        server = TcpServer("127.0.0.1", 0, CONTROLLER)
+        try:
+            with anyio.move_on_after(0.01):
+                await server.connect()
+            first, second = call(server), call(server)
+            await (await connected(server)).aclose()
+            with call(server):
+                await until(lambda: server._held is not None)
+                scope.cancel()
+                await server.connect()
+        finally:
+            first.close()
+            second.close()
+            await server.aclose()
+    assert scope.cancelled_caught
+    await anyio.sleep(0.01)
+    assert open_sockets() == before
 
 
 def test_all_of_it_works_on_the_loop_of_the_daemon() -> None:
     async def look() -> None:
         await test_a_stranger_is_refused_and_counted_while_the_controller_is_waited_for()
-        await test_a_controller_that_was_started_anew_is_found_by_the_next_connect()
+        await test_strangers_that_call_during_a_session_are_refused_at_once()
+        await test_of_several_calls_the_controllers_newest_is_taken()
+        await test_a_controller_that_reboots_in_a_flood_of_strangers_is_taken_promptly()
+        await test_a_receive_that_is_cancelled_while_another_call_waits_is_cancelled()
+        await test_closing_ends_everything_but_the_connection_that_was_given_away()
+        await test_a_cancelled_scope_closes_all_the_same()
         await test_a_cancelled_connect_leaves_the_call_for_the_next()
         await test_closing_ends_a_connect_that_waits()
 

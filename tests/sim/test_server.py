@@ -126,9 +126,10 @@ async def test_a_taken_port_is_named_with_what_to_do() -> None:
 
 
 async def test_a_taken_port_without_state_is_done_without() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
+    host = "127.0.0.231"  # on an address that nothing else uses the next port is free
+    with socket.create_server((host, 0)) as taken:
         port = taken.getsockname()[1]
-        async with serve(ECHO, host="127.0.0.1", port=port + 1) as (controller,):
+        async with serve(ECHO, host=host, port=port + 1) as (controller,):
             assert controller.ports == (("p", port + 1),)
             assert [problem.port for problem in controller.missing] == [port]
 

@@ -3,7 +3,15 @@
 from __future__ import annotations
 
 from gateway.api.vendor import Protocol, Vendor
-from vendors.xcore import external, external_signals, external_words, stream, stream_record, stream_signals
+from vendors.xcore import (
+    external,
+    external_options,
+    external_signals,
+    external_words,
+    stream,
+    stream_record,
+    stream_signals,
+)
 from vendors.xcore.documents import COMMANDS
 
 EXTERNAL = Protocol(
@@ -12,14 +20,15 @@ EXTERNAL = Protocol(
     port=None,
     records=(external_words.RECORD,),
     signals=external_signals.SIGNALS,
-    options=external.ExternalOptions,
+    options=external_options.ExternalOptions,
     make_reader=external.make_reader,
     make_decoders=external.make_decoders,
     rate_hz=10.0,
     max_rate_hz=100.0,
-    slowest_s=external.slowest_s,
+    quiet=0.5,
+    slowest_s=external_options.slowest_s,
     stale_s=5.0,
-    outgoing=(external.OUTGOING,),
+    outgoing=(external_options.OUTGOING,),
     when_refused=(
         "External communication is off until it is switched on at the HMI (Communication > External communication), "
         "with a port of your choice. One of the two sides is the server, the other one calls: "

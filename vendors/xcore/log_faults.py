@@ -10,7 +10,7 @@ from vendors.xcore.stream_record import Entry
 _SEVERITIES = {"warning": Severity.WARNING, "error": Severity.ERROR}
 # What an entry of the log is about is over when the robot, having stood still, does one of these again.
 _AT_WORK = {"jogging", "moving", "rlProgram", "rtControlling", "demo"}
-MOST = 16
+MOST = 32
 
 
 class LogFaults:
@@ -22,10 +22,12 @@ class LogFaults:
 
     Attributes:
         standing: The faults, newest last; None: not known.
+        left_out: How many more came than are kept; those that stand do not give way.
     """
 
     def __init__(self) -> None:
         self.standing: list[Fault] | None = None
+        self.left_out = 0
         self._stood_still = False
 
     def take(self, entry: Entry) -> bool:
@@ -47,8 +49,10 @@ class LogFaults:
         again = [known for known in before if known.key == fault.key]
         if again:  # repeated, with its text this time, or without
             self.standing = [_richer(known, fault) if known in again else known for known in before]
+        elif len(before) < MOST:
+            self.standing = [*before, fault]
         else:
-            self.standing = [*before, fault][-MOST:]
+            self.left_out += 1
         return self.standing != before
 
     def observe(self, operation_state: str) -> bool:
@@ -59,6 +63,7 @@ class LogFaults:
         if self.standing == [] or (self.standing and not self._stood_still):
             return False
         self.standing = []
+        self.left_out = 0
         return True
 
 

@@ -19,7 +19,7 @@ from gateway.api.model import Command, CommandFeedback, CommandsMissed, EventKin
 from gateway.api.numbers import Numbers
 from gateway.api.vendor import DecoderFactory
 from vendors.xcore.checking import ObjectError, list_problems_of, object_of
-from vendors.xcore.log_faults import LogFaults
+from vendors.xcore.log_faults import MOST, LogFaults
 from vendors.xcore.objects import Info, LogInfo
 from vendors.xcore.stream_record import LONGEST, RECORD, SCHEMA, UNITS
 from vendors.xcore.stream_record import Entry as LogEntry
@@ -110,6 +110,8 @@ class ObjectsDecoder:
         if self._held.get("connected") is False:
             found.append("the agent says that its SDK has lost the controller")
         found += [f"the agent refuses {name}: {why}" for name, why in self._refusals.items()]
+        if self._faults.left_out:
+            found.append(f"{self._faults.left_out} more log entries came than the {MOST} that are kept as faults")
         if self._unanswered:
             found.append(f"{self._unanswered} reading commands were not answered within {_ANSWER_TICKS * TICK_S:g} s")
         return found
@@ -128,8 +130,14 @@ class ObjectsDecoder:
         """Take received bytes and return what they completed."""
         events: list[Event] = []
         for line in self._lines.feed(data):
-            events += self._line(line) if isinstance(line, bytes) else [line]
+            events += self._line(line) if isinstance(line, bytes) else self._no_line(line)
         return events
+
+    def _no_line(self, piece: Reject | Skipped) -> list[Event]:
+        """What is too long, or no JSON object, may have held commands: nobody can know."""
+        if not self.ready or isinstance(piece, Skipped):
+            return [piece]
+        return [piece, Occurrence(b"", (Entry(EventKind.COMMAND_MISSED, CommandsMissed(), {"reason": piece.reason}),))]
 
     def end(self) -> list[Reject]:
         """Return what is left in the buffer."""
@@ -177,7 +185,11 @@ class ObjectsDecoder:
         if not text:
             return [Skipped(raw, "empty line")]
         try:
-            return self._message(raw, _parsed(text))
+            message = _parsed(text)
+        except BadMessageError as error:
+            return self._no_line(Reject(raw, error.reason, str(error)))
+        try:
+            return self._message(raw, message)
         except BadMessageError as error:
             return [Reject(raw, error.reason, str(error))]
 

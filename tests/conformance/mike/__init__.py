@@ -41,6 +41,7 @@ ANSWERS = Record(
         Value(name="moving", type=bool, meaning="The arm moves"),
     ),
 )
+MODES = ("auto", "manual")
 WORDS = tuple(ANSWERS.by_name)
 READERS: dict[str, Callable[[str], object]] = {
     "pos": lambda text: [float(word) for word in text.split(",")],
@@ -115,14 +116,17 @@ class Answers:
         if word is None:
             return Reject(raw, "unrequested")
         try:
-            value = _FLAGS[raw] if word == "moving" else READERS[word](raw.removesuffix(END).decode())
-            return Frame(raw, ANSWERS, values={word: ANSWERS.convert(word, value)})
+            return Frame(raw, ANSWERS, values={word: ANSWERS.convert(word, self.read(word, raw))})
         except (KeyError, ValueError) as error:
             return Reject(raw, "answer", str(error))
 
+    def read(self, word: str, raw: bytes) -> object:
+        """The value of an answer."""
+        return _FLAGS[raw] if word == "moving" else READERS[word](raw.removesuffix(END).decode())
+
 
 class Asking(Answers):
-    """One session: asks the words in turn."""
+    """One session: asks the words in turn; what cannot be the answer to a word ends it."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -132,8 +136,18 @@ class Asking(Answers):
     def feed(self, data: bytes) -> list[Event]:
         """Take received bytes; what nobody asked for ends the session."""
         events = super().feed(data)
-        stray = [event for event in events if isinstance(event, Reject) and event.reason == "unrequested"]
-        return [*events, Refused("nobody asked for that", "out_of_step")] if stray else events
+        return self.refusing(events) if any(isinstance(event, Reject) for event in events) else events
+
+    def read(self, word: str, raw: bytes) -> object:
+        """The value of an answer; no other word's answer is a mode."""
+        value = super().read(word, raw)
+        if word == "mode" and value not in MODES:
+            raise ValueError(f"{value!r} is no mode")
+        return value
+
+    def refusing(self, events: list[Event]) -> list[Event]:
+        """What is told where something was rejected."""
+        return [*events, Refused("nobody asked for that", "out_of_step")]
 
     def tick(self) -> bytes | Refused:
         """The next word."""

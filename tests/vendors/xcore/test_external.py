@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 
 from gateway.api.decoder import Event, Frame, Refused, Reject
 from vendors.xcore import VENDOR
-from vendors.xcore.external import Answers, ExternalDecoder, ExternalOptions, make_decoders, make_reader
+from vendors.xcore.external import ExternalDecoder, make_decoders, make_reader
+from vendors.xcore.external_answers import Answers
+from vendors.xcore.external_options import ExternalOptions
 
 EXTERNAL = VENDOR.protocol("external")
 ASKING = (
@@ -27,6 +29,10 @@ CONTROL = (
 )  # fmt: skip
 FLAGS = ASKING[:7]
 SIX = [0.1, -0.2, 0.3, 0.0, 1.5, -3.0]
+TOLD = {
+    "cart_pos": "1,2,3,4,5,6,7,8,9,10", "task_state": "ready", "current_prog": "weld", "list_prog": "weld, glue",
+    "state": "ready", "alarm_info": "none",
+}  # fmt: skip
 Values = dict[str, object]
 
 
@@ -101,8 +107,7 @@ class Talk:
 def right(word: str, suffix: str = "\r") -> bytes:
     if word in FLAGS:
         return b"true"
-    told = {"cart_pos": "1,2,3,4,5,6,7,8,9,10", "task_state": "ready"}
-    return (told.get(word, "1,2,3,4,5,6") + suffix).encode()
+    return (TOLD.get(word, "1,2,3,4,5,6") + suffix).encode()
 
 
 @pytest.mark.parametrize("word", FLAGS)
@@ -219,9 +224,9 @@ def test_a_text_is_told_as_it_is(word: str, told: str, expected: object) -> None
 @pytest.mark.parametrize(
     ("word", "told", "reason"),
     [
-        ("jnt_pos", b"true\r", "answer"),
-        ("jnt_pos", b"null\r", "answer"),
-        ("jnt_pos", b"\r", "answer"),
+        ("jnt_pos", b"true\r", "other_word"),
+        ("jnt_pos", b"null\r", "other_word"),
+        ("jnt_pos", b"\r", "other_word"),
         ("jnt_pos", b"nan,nan,nan,nan,nan,nan\r", "answer"),
         ("jnt_pos", b"inf,1,2,3,4,5\r", "answer"),
         ("jnt_pos", b"1e999,1,2,3,4,5\r", "answer"),
@@ -231,9 +236,9 @@ def test_a_text_is_told_as_it_is(word: str, told: str, expected: object) -> None
         ("jnt_pos", b"1,2,3,4,5,\xff6\r", "encoding"),
         ("current_prog", b"\xe7\x84\r", "encoding"),
         ("current_prog", b"we\x00ld\r", "answer"),
-        ("fault_state", b"1,2,3\r", "answer"),
-        ("fault_state", b"TRUE\r", "answer"),
-        ("fault_state", b"\r", "answer"),
+        ("fault_state", b"1,2,3\r", "other_word"),
+        ("fault_state", b"TRUE\r", "other_word"),
+        ("fault_state", b"\r", "other_word"),
     ],
 )
 def test_what_is_no_answer_to_its_word_is_rejected(word: str, told: bytes, reason: str) -> None:

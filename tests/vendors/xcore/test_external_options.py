@@ -12,7 +12,7 @@ from gateway.config.printing import as_toml
 from gateway.core.settings import RobotSettings
 from gateway.errors import ConfigError
 from vendors.xcore import VENDOR
-from vendors.xcore.external import ExternalOptions, slowest_s
+from vendors.xcore.external_options import ExternalOptions, slowest_s
 from vendors.xcore.external_words import WORDS
 
 EXTERNAL = VENDOR.protocol("external")

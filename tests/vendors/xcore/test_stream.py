@@ -10,6 +10,7 @@ import msgspec
 import pytest
 
 from gateway.api.decoder import Event, Frame, Occurrence, Refused, Reject, Skipped
+from gateway.api.model import CommandsMissed
 from gateway.core.controller_clock import ControllerClock
 from tests.vendors.xcore.stream_kit import HELLO, INFO, STATE, TS, UNITS, Json, Stream, line
 from vendors.xcore import VENDOR
@@ -21,9 +22,12 @@ OBJECTS = VENDOR.protocol("objects")
 
 
 def one_reject(decoder: ObjectsDecoder, data: bytes) -> Reject:
-    (event,) = decoder.feed(data)
+    event, *missed = decoder.feed(data)
     assert isinstance(event, Reject)
     assert event.raw == data
+    # It may have held commands: the topic says that something is missing, and that nobody knows how much.
+    assert [one.entries[0].data for one in missed if isinstance(one, Occurrence)] == [CommandsMissed()] * len(missed)
+    assert len(missed) == (event.reason in {"json", "too_long"} and decoder.ready)
     return event
 
 
@@ -326,7 +330,9 @@ def test_a_line_has_at_most_65536_bytes(extra: int, chunk: int) -> None:
     else:
         assert isinstance(events[0], Reject)
         assert events[0].reason == "too_long"
-        assert {type(event) for event in events[1:]} <= {Skipped}
+        assert isinstance(events[1], Occurrence)
+        assert events[1].entries[0].data == CommandsMissed()
+        assert {type(event) for event in events[2:]} <= {Skipped}
     assert [type(event) for event in found.decoder.feed(STATE.replace(b'"seq":1', b'"seq":2'))] == [Frame]
 
 

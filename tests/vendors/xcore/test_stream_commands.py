@@ -113,8 +113,9 @@ def test_a_bad_list_is_rejected_with_its_path_and_announced_as_missed(
 
 def test_a_number_that_no_encoding_can_carry_is_rejected() -> None:
     text = line({"type": "issued", "seq": 1, "cmdID": "c", "class": "MoveL", "commands": [{"target": {"trans": [10**30, 0, 0]}}]})  # fmt: skip # noqa: E501
-    (event,) = opened().feed(text)
+    event, missed = opened().feed(text)
     assert isinstance(event, Reject)
+    assert entries([missed]) == [(EventKind.COMMAND_MISSED, CommandsMissed())]
 
 
 def test_what_the_agent_has_lost_is_told() -> None:

@@ -29,7 +29,7 @@ class Outbox:
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
         self._owed: Deque[bytes] = deque()
-        self._kept: Deque[bool] = deque()  # of each that is owed: whether it must not be lost
+        self._weights: Deque[int] = deque()  # of each that is owed: how many messages are lost with it
         self._offset = 0
         self.n_owed = 0
         self.seq = 0
@@ -67,22 +67,23 @@ class Outbox:
         message.update(members)
         data = line(message, rest)
         self.seq += 1
-        self._owe(data, kept=kind not in ("state", "closing"))
+        lost = members["count"] if kind == "lost" else int(kind not in ("state", "closing"))
+        self._owe(data, lost)  # with a `lost` those that it tells of
 
     @property
     def n_unsent(self) -> int:
         """How many messages are owed that must not be lost; one that has begun to leave counts too."""
-        return sum(self._kept)
+        return sum(self._weights)
 
     def bare(self, kind: str, members: Members) -> None:
         """Owe a message without a sequence number: hello, result, closing."""
         message: Members = {"type": kind}
         message.update(members)
-        self._owe(line(message), kept=False)
+        self._owe(line(message), 0)
 
-    def _owe(self, data: bytes, *, kept: bool) -> None:
+    def _owe(self, data: bytes, weight: int) -> None:
         self._owed.append(data)
-        self._kept.append(kept)
+        self._weights.append(weight)
         self.n_owed += len(data)
         if self.n_owed > self._limits.owed_bytes:
             raise OverflowedError(f"{self.n_owed} bytes are unread")
@@ -97,5 +98,5 @@ class Outbox:
         self._offset += n_bytes
         if self._offset == len(self._owed[0]):
             self._owed.popleft()
-            self._kept.popleft()
+            self._weights.popleft()
             self._offset = 0
