@@ -9,6 +9,7 @@ from pathlib import Path
 from gateway.cli.demo import demo_toml
 from gateway.config.printing import json_schema
 from gateway.core.registry import Registry
+from gateway.server.openapi import openapi_text
 from tests.asyncapi import asyncapi
 from tests.coverage_page import coverage_page
 from tests.documents import model_page
@@ -26,6 +27,7 @@ def generated() -> dict[Path, str]:
         ROOT / "docs" / "asyncapi.json": json.dumps(asyncapi(), indent=2, ensure_ascii=False) + "\n",
         ROOT / "docs" / "coverage.md": coverage_page(registry),
         ROOT / "docs" / "model.md": model_page(),
+        ROOT / "docs" / "openapi.json": openapi_text(),
     }
 
 
