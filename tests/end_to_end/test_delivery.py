@@ -187,6 +187,7 @@ async def test_a_client_that_is_cut_off_in_a_storm_of_events_resumes_and_has_all
 
 ROUNDS = 5
 WINDOW_S = 1.0 if SOAK_S else 0.1
+LEAST = 20  # samples that a percentile is made of
 # The scheduler of a shared machine takes the loop away for some ms at a time: below this a ratio says nothing of the
 # gateway. A client that the others wait for costs far more: the gateway's patience is measured in seconds.
 FLOOR_S = 0.02
@@ -222,6 +223,8 @@ class Listening:
         """Of the samples of the next while."""
         self.taken_s.clear()
         await anyio.sleep(WINDOW_S)
+        while len(self.taken_s) < LEAST:  # noqa: ASYNC110 - the machine was taken away for the whole window
+            await anyio.sleep(WINDOW_S)
         return statistics.quantiles(self.taken_s, n=100)[-1]
 
 
