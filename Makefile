@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 SECONDS_OF_SOAK ?= 60
 
-.PHONY: help demo test check lint bench soak generated clean
+.PHONY: help demo test check lint bench soak generated screenshots clean
 
 help: ## Show the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*##/\t/' | expand -t 10
@@ -40,6 +40,9 @@ soak: $(STAMP) ## The acceptance runs at their full length
 
 generated: $(STAMP) ## Write the generated files in config/ and docs/ anew
 	$(BIN)/python -m tests.generated
+
+screenshots: $(STAMP) ## Make the pictures of the dashboard in docs/images; needs Debian's chromium
+	$(BIN)/python -m tests.screenshots
 
 clean: ## Remove everything that was made
 	rm -rf $(VENV) dist build .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .coverage

@@ -9,6 +9,9 @@ from pathlib import Path
 from gateway.cli.demo import demo_toml
 from gateway.config.printing import json_schema
 from gateway.core.registry import Registry
+from gateway.server.openapi import openapi_text
+from tests.asyncapi import asyncapi
+from tests.coverage_page import coverage_page
 from tests.documents import model_page
 
 ROOT = Path(__file__).parents[1]
@@ -21,7 +24,10 @@ def generated() -> dict[Path, str]:
     return {
         ROOT / "config" / "demo.toml": demo_toml(registry),
         ROOT / "config" / "gateway.schema.json": schema,
+        ROOT / "docs" / "asyncapi.json": json.dumps(asyncapi(), indent=2, ensure_ascii=False) + "\n",
+        ROOT / "docs" / "coverage.md": coverage_page(registry),
         ROOT / "docs" / "model.md": model_page(),
+        ROOT / "docs" / "openapi.json": openapi_text(),
     }
 
 

@@ -144,6 +144,7 @@ class Layout:
         fields: The rows, in wire order.
         source: Manual, version and section that the table was taken from.
         byteorder: `<` or `>`.
+        firmware: Versions of the controller that are known to send it, for people; empty: not known.
     """
 
     name: str
@@ -151,6 +152,12 @@ class Layout:
     fields: tuple[Field, ...]
     source: str
     byteorder: str = "<"
+    firmware: str = ""
+
+    @property
+    def title(self) -> str:
+        """The name, with the firmware that sends it where that is known."""
+        return f"{self.name} (firmware {self.firmware})" if self.firmware else self.name
 
     @cached_property
     def by_name(self) -> dict[str, Field]:
@@ -175,13 +182,14 @@ class Layout:
             },
         )
 
-    def prefix(self, size: int, *, name: str, absent: Sequence[str] = ()) -> Layout:
+    def prefix(self, size: int, *, name: str, absent: Sequence[str] = (), firmware: str = "") -> Layout:
         """Derive the layout of a shorter frame: what is cut off stays in the table and reads as null.
 
         Args:
             size: Bytes of the shorter payload.
             name: Name of the derived layout.
             absent: Fields that the shorter frame carries with another meaning, so they read as null too.
+            firmware: What sends the shorter frame, where that is known.
 
         Raises:
             ValueError: The size is not shorter, or an absent field does not exist.
@@ -196,7 +204,8 @@ class Layout:
             whole = max(0, (size - field.offset) // field.item_size)
             return dataclasses.replace(field, present=0 if field.name in absent else min(field.elements, whole))
 
-        return dataclasses.replace(self, name=name, size=size, fields=tuple(cut(field) for field in self.fields))
+        fields = tuple(cut(field) for field in self.fields)
+        return dataclasses.replace(self, name=name, size=size, fields=fields, firmware=firmware)
 
     def encode(self, values: Values) -> bytes:
         """Encode named values; what is not named is zero.

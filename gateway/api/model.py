@@ -393,6 +393,7 @@ class EventKind(StrEnum):
     COLLISION_CLEARED = "collision.cleared"
     FAULT_RAISED = "fault.raised"
     FAULT_CLEARED = "fault.cleared"
+    IO_CHANGED = "io.changed"
     COMMAND_ISSUED = "command.issued"
     COMMAND_EXECUTED = "command.executed"
     COMMAND_MISSED = "command.missed"

@@ -50,3 +50,9 @@ class Normaliser:
         """The sources that a key, or a whole subtree of keys, follows from."""
         rows = (signal for signal in self.signals if signal.key == key or signal.key.startswith(f"{key}."))
         return tuple(dict.fromkeys(source for row in rows for source in row.sources))
+
+    def sources_of(self, key: str) -> tuple[str, ...]:
+        """The sources that a key follows from, also where one row fills the subtree that it is in."""
+        while not (found := self.sources(key)) and "." in key:
+            key = key.rpartition(".")[0]
+        return found

@@ -9,28 +9,25 @@ from collections.abc import Iterable
 from functools import partial
 from typing import Annotated
 
-import anyio
 import msgspec
 import typer
-from rich.console import RenderableType
-from rich.live import Live
-from rich.text import Text
 
 from gateway.api.messages import RobotInfo
-from gateway.api.model import Sample
+from gateway.api.model import LinkState, Sample
 from gateway.cli.common import DEFAULT_URL, USAGE, Url, call, fail, terminal
+from gateway.cli.measured import Measured
 from gateway.cli.view import robots_table
+from gateway.cli.watch import watch as watch_cell
 from gateway.cli.why import explain
-from gateway.client import Client, ClientError, connect
-
-_WATCH_S = 0.5
-_RETRY_S = 1.0
+from gateway.client import Client, connect
 
 
 def status(
     url: Url = DEFAULT_URL,
     *,
-    watch: Annotated[bool, typer.Option("--watch", "-w", help="Keep showing it until Ctrl-C.")] = False,
+    watch: Annotated[
+        bool, typer.Option("--watch", "-w", help="Keep showing it until Ctrl-C; into a pipe: a block a second.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON, for programs.")] = False,
     why: Annotated[
         str | None,
@@ -58,7 +55,7 @@ def status(
     if why is not None:
         call(partial(_why, url, why))
     elif watch:
-        call(partial(_watch, url))
+        call(partial(watch_cell, url))
     else:
         call(partial(_once, url, as_json=as_json))
 
@@ -78,35 +75,25 @@ async def _once(url: str, *, as_json: bool) -> None:
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(shown), indent=2).decode() + "\n")
         return
     console = terminal()
-    console.print(_table(robots, latest, console.width))
+    console.print(robots_table(robots, latest, _now_us(), console.width))
 
 
 async def _why(url: str, name: str) -> None:
     async with connect(url) as client:
         robots = {robot.name: robot for robot in await client.robots()}
-    if name not in robots:
+        robot = robots.get(name)
+        measured = None
+        if robot is not None and robot.link.state is not LinkState.FAULTED and "link_stats" in robot.groups:
+            measured = await Measured.during(client, name)
+            robot = next(one for one in await client.robots() if one.name == name)
+    if robot is None:
         near = difflib.get_close_matches(name, robots, n=1)
         fail(
             f'there is no robot "{name}"; '
             + (f'did you mean "{near[0]}"?' if near else f"there are: {_listed(robots)}")
         )
-    for line in explain(robots[name], time.time_ns() // 1000, terminal().width):
+    for line in explain(robot, _now_us(), terminal().width, measured):
         sys.stdout.write(f"{line}\n")
-
-
-async def _watch(url: str) -> None:
-    """Show it again and again; a gateway that goes away is waited for."""
-    console = terminal()
-    with Live(Text("connecting …"), auto_refresh=False, console=console) as live:
-        while True:
-            try:
-                async with connect(url) as client:
-                    while True:
-                        live.update(_table(*await _ask(client), console.width), refresh=True)
-                        await anyio.sleep(_WATCH_S)
-            except ClientError as error:
-                live.update(Text(f"{error} - trying again", style="red"), refresh=True)
-                await anyio.sleep(_RETRY_S)
 
 
 async def _ask(client: Client) -> tuple[list[RobotInfo], dict[str, Sample]]:
@@ -116,8 +103,8 @@ async def _ask(client: Client) -> tuple[list[RobotInfo], dict[str, Sample]]:
     return robots, {sample.topic: sample for sample in latest}
 
 
-def _table(robots: list[RobotInfo], latest: dict[str, Sample], width: int) -> RenderableType:
-    return robots_table(robots, latest, time.time_ns() // 1000, width)
+def _now_us() -> int:
+    return time.time_ns() // 1000
 
 
 def _data(latest: dict[str, Sample], robot: str, group: str) -> object:

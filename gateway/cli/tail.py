@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from enum import StrEnum
 from functools import partial
-from typing import Annotated, TypeVar
+from typing import Annotated
 
 import msgspec
 import typer
 
-from gateway.api.messages import MAX_RATE_HZ, EventMessage, Missed, Mode
-from gateway.api.model import Quality, Sample
+from gateway.api.messages import MAX_RATE_HZ, Missed, Mode
+from gateway.api.model import Event, Quality, Sample
 from gateway.cli.common import DEFAULT_URL, USAGE, Url, call, fail, tell
 from gateway.cli.view import event_line, flat, sample_lines, units_of
-from gateway.client import Client, Pushed, connect
+from gateway.client import Client, ClientError, Connected, Disconnected, Follower, Item, Refused, follow
 
 _DEFAULT_TOPICS = ["*/joints", "*/events"]
 _DEFAULT_RATE_HZ = 5.0
-_Item = TypeVar("_Item")
 _SILENT = {Quality.STALE, Quality.DISCONNECTED}
 
 
@@ -61,9 +61,10 @@ def tail(
     since: Since = None,
     url: Url = DEFAULT_URL,
 ) -> None:
-    """Follow live samples and events until Ctrl-C.
+    """Follow live samples and events until Ctrl-C, through every cut: events go on where they stopped.
 
-    Only what a robot can tell is shown, with its unit. What the gateway had to leave out is said on stderr.
+    Only what a robot can tell is shown, with its unit. What the gateway had to leave out, and when it was gone, is said
+    on stderr.
 
     \b
     Examples:
@@ -93,12 +94,15 @@ async def _follow(
     fields: list[str] | None,
     since: list[str] | None,
 ) -> None:
-    async with connect(url) as client:
-        names = await client.subscribe(topics, rate_hz=rate_hz, mode=mode, fields=fields, since=since)
-        await printer.learn_units(client, names)
-        async for message in client.pushed():
-            if not printer.take(message):
+    async with follow(url, patient=False, typed=False) as follower:
+        await follower.subscribe(topics, rate_hz=rate_hz, mode=mode, fields=fields, since=since)
+        async for item in follower:
+            if isinstance(item, Connected):
+                await printer.begin(follower)
+            elif not printer.take(item):
                 return
+            if not follower.n_ready:
+                sys.stdout.flush()
 
 
 class Printer:
@@ -111,6 +115,7 @@ class Printer:
 
     def __init__(self, format_: Format, count: int | None) -> None:
         self._left = count
+        self._lost = False
         self._units: dict[str, dict[str, str]] = {}
         self._columns: list[str] | None = None
         self._csv = csv.writer(sys.stdout, lineterminator="\n")
@@ -119,34 +124,45 @@ class Printer:
             Format.JSON: _json,
             Format.CSV: self._row,
         }[format_]
-        self._print_event = _json if format_ is Format.JSON else lambda event: _line(event_line(event))
+        self._print_event: Callable[[Event], None] = _json if format_ is Format.JSON else _event
 
-    async def learn_units(self, client: Client, topics: list[str]) -> None:
-        """Ask the gateway for the units of each topic's fields."""
+    async def begin(self, follower: Follower) -> None:
+        """Learn the units of each topic's fields from the gateway of a new connection."""
+        if self._lost:
+            self._lost = False
+            tell("connected:", "green", "again")
+        if follower.client is not None:
+            with contextlib.suppress(ClientError):  # gone again, which the next item says
+                await self._learn_units(follower.client, follower.topics)
+
+    async def _learn_units(self, client: Client, topics: list[str]) -> None:
         for topic in topics:
             if not topic.endswith(("/events", "/commands")):
                 self._units[topic] = units_of((await client.describe(topic)).schema)
 
-    def take(self, message: Pushed) -> bool:
-        """Print a message; whether to go on."""
-        if isinstance(message, Missed):
-            n_samples = sum(message.samples.values())
-            events = "an unknown number of" if message.events is None else message.events
-            tell("missed:", "yellow", f"{n_samples} samples, {events} events")
-            return True
-        if isinstance(message, EventMessage):
-            return self._each(message.events, self._print_event)
-        return self._each(message.samples, self._print_sample)
-
-    def _each(self, items: Sequence[_Item], show: Callable[[_Item], None]) -> bool:
-        for item in items:
-            if self._left == 0:
-                return False
-            show(item)
-            if self._left is not None:
-                self._left -= 1
-        sys.stdout.flush()
+    def take(self, item: Item) -> bool:
+        """Print what has come; whether to go on."""
+        match item:
+            case Sample() | Event():
+                self._count(item)
+            case Missed():
+                n_samples = sum(item.samples.values())
+                events = "an unknown number of" if item.events is None else item.events
+                tell("missed:", "yellow", f"{n_samples} samples, {events} events")
+            case Refused():
+                tell("refused:", "yellow", f"{' '.join(item.topics)}: {item.reason}; asked again when reconnected")
+            case Disconnected() if not self._lost:
+                self._lost = True
+                tell("disconnected:", "red", f"{item.reason} - trying again")
         return self._left != 0
+
+    def _count(self, item: Sample | Event) -> None:
+        if isinstance(item, Event):
+            self._print_event(item)
+        else:
+            self._print_sample(item)
+        if self._left is not None:
+            self._left -= 1
 
     def _table(self, sample: Sample) -> None:
         for line in sample_lines(sample, self._units.get(sample.topic, {})):
@@ -161,6 +177,11 @@ class Printer:
             self._columns = list(values)
             self._csv.writerow(["topic", "t", "seq", "q", *self._columns])
         self._csv.writerow([sample.topic, sample.t, sample.seq, sample.q, *map(values.get, self._columns)])
+
+
+def _event(event: Event) -> None:
+    """An event with its name, which --since takes."""
+    _line(f"{event_line(event)}  [{event.name}]")
 
 
 def _json(item: object) -> None:

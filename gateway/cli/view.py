@@ -36,7 +36,8 @@ _HEADINGS = ("robot", "speaks", "link", "for", "Hz", "power", "motion", "program
 _LEAST_IMPORTANT = ("speaks", "program", "Hz", "motion", "power", "for")
 _GAP = 2
 _LARGE = 1e4
-_LONG_ARRAY = 6  # longer ones are shown with fewer digits, so that a line of seven joints has 80 columns
+_HUNDRED = 100.0  # numbers from here on are shown with fewer digits
+_COLUMNS = 80  # a line of an array has fewer digits where it would be longer
 _OF_COMMANDS = {EventKind.COMMAND_ISSUED, EventKind.COMMAND_EXECUTED, EventKind.COMMAND_MISSED}
 _LIVE = {"GOOD", "SUBSTITUTED", "UNCERTAIN", "BAD"}
 
@@ -203,15 +204,30 @@ def _leaf_text(key: str, value: object, units: Mapping[str, str], width: int) ->
     unit = units.get(key, "1")
     if unit == "µs" and isinstance(value, int):
         return f"{key:<{width}}  {clock_time(value)}"
-    digits = 4 if isinstance(value, list) and len(value) <= _LONG_ARRAY else 3
-    shown = " ".join(_number(item, digits) for item in value) if isinstance(value, list) else _scalar(value)
-    return f"{key:<{width}}  {shown}{'' if unit == '1' else f'  {unit}'}"
+    behind = "" if unit == "1" else f"  {unit}"
+    before = f"{key:<{width}}  "
+    shown = _array(value, _COLUMNS - 2 - len(before) - len(behind)) if isinstance(value, list) else _scalar(value)
+    return f"{before}{shown}{behind}"
+
+
+def _array(values: Sequence[object], columns: int) -> str:
+    """Several values, numbers in columns of one width, with as many digits as there is room for."""
+    numbers = [abs(value) for value in values if isinstance(value, float) and abs(value) < _LARGE]
+    most = 2 if max(numbers, default=0.0) >= _HUNDRED else 4
+    shown = ""
+    for digits in range(most, 0, -1):
+        cells = [_number(value, digits) for value in values]
+        width = max((digits + 3 if numbers else 0), *map(len, cells)) if cells else 0
+        shown = " ".join(f"{cell:>{width}}" for cell in cells)
+        if len(shown) <= columns or not numbers:
+            break
+    return shown
 
 
 def _number(value: object, digits: int) -> str:
-    """One of several numbers, in a column of its own."""
+    """One of several numbers."""
     if isinstance(value, float):
-        return f"{value:{digits + 3}.{digits}f}" if abs(value) < _LARGE else f"{value:{digits + 3}.2g}"
+        return f"{value:.{digits}f}" if abs(value) < _LARGE else f"{value:.2g}"
     return _scalar(value)
 
 

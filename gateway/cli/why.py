@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 from gateway.api.messages import RobotInfo
 from gateway.api.model import LinkState
+from gateway.cli.measured import Measured
 from gateway.cli.view import duration, spoken
 
 _MEANING = {
@@ -61,15 +62,31 @@ _BY_REASON = (
 _BY_STATE = {LinkState.INCOMPATIBLE: (_FIRMWARE, _PORT, _PROBE), LinkState.REFUSED: (_OPTIONS, _PROBE)}
 _BUSY_STATES = {LinkState.CONNECTING, LinkState.HANDSHAKING}
 _DEFAULT = (_NETWORK, _PROBE)
+_STANDING = {LinkState.ONLINE, LinkState.HANDSHAKING, LinkState.STALE}
+_DAMAGED = (
+    "Frames come damaged: see whether cable and switch are sound, whether another program writes to the same "
+    "connection, and whether the firmware is one that the vendor's README names."
+)
+_BY_REJECT = {"checksum": _DAMAGED, "truncated": _DAMAGED}
+# The controller's clock: what is worth a word, what a time zone is a multiple of, and how near to it.
+_CLOCK_S = 5.0
+_ZONE_S = 900.0
+_NEAR_S = 120.0
+_ZONE = (
+    "The clock differs by a time zone: set `clock_zone` to the controller's, where its protocol tells the time, or see "
+    "whether the one that is set is right."
+)
+_SET_CLOCK = "Set the controller's clock, or have it follow a time server: times of its own log will not fit otherwise."
 
 
-def explain(robot: RobotInfo, now_us: int, width: int) -> Iterator[str]:
+def explain(robot: RobotInfo, now_us: int, width: int, measured: Measured | None = None) -> Iterator[str]:
     """Explain a link, line by line.
 
     Args:
         robot: As the gateway tells it.
         now_us: Now, µs UTC.
         width: Of the terminal; longer lines than people like to read are wrapped all the same.
+        measured: What has come just now, where somebody watched.
     """
     columns = min(width, _WRAPPED)
     link = robot.link
@@ -80,7 +97,11 @@ def explain(robot: RobotInfo, now_us: int, width: int) -> Iterator[str]:
     )
     yield from textwrap.wrap(head, columns)
     yield from textwrap.wrap(f"It is read as {spoken(robot)}{at}.", columns)
-    parts = (("Why", _why(robot, now_us)), ("What has come", _come(robot)), ("Check next", _next(robot)))
+    parts = (
+        ("Why", _why(robot, now_us)),
+        ("What has come", (*_come_now(robot, measured), *_come(robot), *_clock(measured))),
+        ("Check next", _next(robot, measured)),
+    )
     for title, sentences in parts:
         told = list(dict.fromkeys(sentences))
         if told:
@@ -128,12 +149,49 @@ def _come(robot: RobotInfo) -> Iterator[str]:
         yield f"Discarded, because it was no good frame: {reasons}."
 
 
-def _next(robot: RobotInfo) -> Iterator[str]:
+def _come_now(robot: RobotInfo, measured: Measured | None) -> Iterator[str]:
+    """What has come in the last seconds, of a connection that stands."""
+    if measured is None or robot.link.state not in _STANDING:
+        return
+    lately = f"in the last {measured.seconds:.1f} s"
+    rejected = " and ".join(f"`{reason}`" for reason in sorted(measured.rejects))
+    if not measured.n_bytes:
+        age = measured.stats.age
+        since = "" if age is None or age < measured.seconds else f"; the last good frame came {_age(age)} ago"
+        yield f"Connected, but 0 bytes {lately}{since}."
+    elif not measured.frames:
+        told = f"; rejected with {rejected}" if rejected else ""
+        yield f"{measured.n_bytes:,} bytes {lately}, but not one good frame{told}."
+    else:
+        told = f", {measured.rejected * 100:.2g} % rejected with {rejected}" if rejected else ""
+        yield f"{measured.frames / measured.seconds:.3g} frames a second {lately}{told}."
+
+
+def _clock(measured: Measured | None) -> Iterator[str]:
+    offset_s = None if measured is None else measured.stats.clock_offset
+    if offset_s is not None and abs(offset_s) >= _CLOCK_S:
+        ahead = "ahead of" if offset_s > 0 else "behind"
+        yield f"The controller's clock is {_span(abs(offset_s))} {ahead} this gateway's."
+
+
+def _next(robot: RobotInfo, measured: Measured | None) -> Iterator[str]:
+    checks = [*_next_link(robot, measured), *_next_clock(measured)]
+    yield from checks or [f"Nothing: it works. Its values: `robot-gateway tail {robot.name}/joints`."]
+
+
+def _next_clock(measured: Measured | None) -> Iterator[str]:
+    offset_s = None if measured is None else measured.stats.clock_offset
+    if offset_s is not None and abs(offset_s) >= _CLOCK_S:
+        zones = round(offset_s / _ZONE_S)
+        yield _ZONE if zones and abs(offset_s - zones * _ZONE_S) < _NEAR_S else _SET_CLOCK
+
+
+def _next_link(robot: RobotInfo, measured: Measured | None) -> Iterator[str]:
     """What to look at, the likeliest first."""
     link = robot.link
     host = _host(link.peer)
     if link.state is LinkState.ONLINE:
-        yield from _next_online(robot)
+        yield from _next_online(robot, measured)
         return
     if link.state is LinkState.FAULTED:
         yield from _next_faulted(robot)
@@ -149,8 +207,12 @@ def _next(robot: RobotInfo) -> Iterator[str]:
         yield from _next_rejected(robot)
 
 
-def _next_online(robot: RobotInfo) -> Iterator[str]:
+def _next_online(robot: RobotInfo, measured: Measured | None) -> Iterator[str]:
     link = robot.link
+    if measured is not None and not measured.n_bytes:
+        yield _BUSY
+    for reason in measured.rejects if measured is not None and measured.rejected > _MANY_REJECTS else ():
+        yield _BY_REJECT.get(reason, _STRANGE)
     if link.requested_hz and link.reached_hz is not None and link.reached_hz < _SLOW_SHARE * link.requested_hz:
         yield "The controller is slower than asked: set a lower `rate_hz`, or see what else loads it or the network."
     if link.layout and "does not explain" in link.layout:
@@ -159,8 +221,6 @@ def _next_online(robot: RobotInfo) -> Iterator[str]:
         yield "Read what stands under Why: it is online all the same, but not everything may be told."
     if robot.reject_counts:
         yield from _next_rejected(robot)
-    elif not link.notes:
-        yield f"Nothing: it works. Its values: `robot-gateway tail {robot.name}/joints`."
 
 
 def _next_rejected(robot: RobotInfo) -> Iterator[str]:
@@ -193,6 +253,14 @@ def _host(peer: str) -> str:
 
 def _age(seconds: float) -> str:
     return f"{seconds:.2g} s" if seconds < 1 else duration(seconds)
+
+
+def _span(seconds: float) -> str:
+    """A difference of clocks, with one digit behind the point: `4.0 h`."""
+    for size, unit in ((86_400, "d"), (3_600, "h"), (60, "min")):
+        if seconds >= size:
+            return f"{seconds / size:.1f} {unit}"
+    return f"{seconds:.1f} s"
 
 
 def _counted(number: int, what: str) -> str:

@@ -27,6 +27,12 @@ Name = Annotated[
 ]
 
 
+IoGlob = Annotated[
+    str,
+    Meta(pattern=r"^(digital_(in|out|\*)|\*)(\.[A-Za-z0-9_*?\[\]-]{1,32}){0,2}(?!\n)$"),
+]
+
+
 class Server(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The table `[server]`: the one listener and what it sends."""
 
@@ -80,6 +86,14 @@ class RobotTable(msgspec.Struct, frozen=True, kw_only=True):
         EstopPolarity | None,
         Meta(description="Level of the input while the emergency stop is pressed. Not set: e_stopped stays null."),
     ] = None
+    io_events: Annotated[
+        list[IoGlob],
+        Meta(
+            max_length=256,
+            description="Inputs and outputs whose changes are events io.changed; globs may stand.",
+            extra={"says": 'a list of inputs and outputs such as ["digital_in.box.3", "digital_out.*"]'},
+        ),
+    ] = []
 
 
 def split_listen(listen: str) -> tuple[str, int]:

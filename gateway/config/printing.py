@@ -51,6 +51,8 @@ def _live(robot: RobotSettings) -> Iterator[str]:
         yield f"estop_polarity = {toml_value(robot.estop_polarity)}"
     elif any(row.key == "status.e_stopped" and "estop_polarity" in row.options for row in robot.protocol.signals):
         yield "# estop_polarity is not set: e_stopped is null where the manual does not state it"
+    if robot.io_events:
+        yield f"io_events = {toml_value(robot.io_events)}"
     options = msgspec.to_builtins(robot.options)
     if options:
         yield f"[robots.{_key(robot.protocol.name)}]"

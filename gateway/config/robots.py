@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
@@ -102,6 +103,7 @@ class Robots:
         clock_zone = self._clock_zone(path, values, protocol)
         rate_hz = self._rate_hz(path, values, protocol)
         stale_s = self._stale_s(path, values, protocol, options, rate_hz)
+        self._check_io_events(path, values, protocol)
         if options is None or port is None or not {"name", "host"} <= values.keys():
             return None
         table = msgspec.convert({**values, "vendor": vendor.name}, RobotTable)
@@ -115,6 +117,7 @@ class Robots:
             stale_s=stale_s,
             clock_zone=clock_zone,
             estop_polarity=table.estop_polarity,
+            io_events=tuple(table.io_events),
             options=options,
         )
 
@@ -195,6 +198,20 @@ class Robots:
             self._problems.add((*path, "clock_zone"), told)
             return None
 
+    def _check_io_events(self, path: Path, values: Table, protocol: Protocol) -> None:
+        """An event of an input that the robot does not have would never come, and nobody would know."""
+        given = values.get("io_events")
+        if not isinstance(given, list) or not given:
+            return
+        banks = [".".join(row.path) for row in protocol.signals if row.group == "io"]
+        if not banks:
+            told = f"protocol {quoted(protocol.name)} does not tell inputs and outputs; remove the key"
+            self._problems.add((*path, "io_events"), told)
+        for glob in given if banks else ():
+            if not any(_reaches(str(glob), bank) for bank in banks):
+                told = f"no input or output is called {quoted(glob)}; {hint(str(glob), banks, 'the banks are')}"
+                self._problems.add((*path, "io_events"), told)
+
     def _rate_hz(self, path: Path, values: Table, protocol: Protocol) -> float | None:
         given = values.get("rate_hz")
         if not isinstance(given, float):
@@ -240,6 +257,11 @@ class Robots:
             if len(self._problems) == before:  # what the struct itself checks
                 self._problems.add(path, str(error))
             return None
+
+
+def _reaches(glob: str, bank: str) -> bool:
+    """Whether a glob may name an input or output of a bank: `digital_in.box.3`, of which it may leave out the end."""
+    return all(fnmatchcase(one, part) for one, part in zip(bank.split("."), glob.split("."), strict=False))
 
 
 def _options_of(protocol: Protocol) -> dict[str, str]:

@@ -7,13 +7,14 @@ detected collision, a fault. Where frames bring the state in parts, a null whose
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 
 import msgspec
 
-from gateway.api.model import EventKind, Fault, Motion, Program, ProgramState, Safety, Status
+from gateway.api.model import EventKind, Fault, Io, Motion, Program, ProgramState, Safety, Status
 
 _MOVES = {Motion.MOVING, Motion.HAND_GUIDING, Motion.EXTERNAL_CONTROL, Motion.JOGGING}
 _RESTS = {Motion.STANDSTILL, Motion.HOLD}
@@ -84,9 +85,17 @@ _AT_FIRST_SIGHT = {EventKind.ESTOP_PRESSED, EventKind.COLLISION_DETECTED}
 
 
 class EdgeFinder:
-    """Finds the edges of one robot and remembers since when its faults stand."""
+    """Finds the edges of one robot and remembers since when its faults stand.
 
-    def __init__(self) -> None:
+    Args:
+        io_events: Globs of the inputs and outputs whose changes are edges: `digital_in.box.3`, `digital_out.*`. Each
+            part between dots is matched by itself; what is left out at the end is everything below.
+    """
+
+    def __init__(self, io_events: Sequence[str] = ()) -> None:
+        self._io_globs = [glob.split(".") for glob in io_events]
+        self._io_wanted: dict[str, bool] = {}  # by name
+        self._io_known: dict[str, bool] = {}
         self._known: dict[str, object] = {}
         self._faults_unsure = False
         self._unsure: set[str] = set()  # keys that were null since their known value
@@ -107,6 +116,18 @@ class EdgeFinder:
             },
             untold,
         )
+
+    def observe_io(self, io: Io) -> list[Edge]:
+        """Compare the configured inputs and outputs with what was known; null: the last known level stays."""
+        edges = []
+        for key, name, level in _levels(io) if self._io_globs else ():
+            if level is None or not self._wants(name):
+                continue
+            before = self._io_known.get(name)
+            self._io_known[name] = level
+            if before is not None and before is not level:
+                edges.append(Edge(EventKind.IO_CHANGED, key, {name: before}, {name: level}))
+        return edges
 
     def stamped(self, status: Status) -> Status:
         """The status whose known faults say since when they stand."""
@@ -158,6 +179,15 @@ class EdgeFinder:
         self._faults = present
         return msgspec.structs.replace(status, faults=list(present.values())), edges
 
+    def _wants(self, name: str) -> bool:
+        found = self._io_wanted.get(name)
+        if found is None:
+            parts = name.split(".")
+            found = self._io_wanted[name] = any(
+                all(fnmatchcase(part, one) for part, one in zip(parts, glob, strict=False)) for glob in self._io_globs
+            )
+        return found
+
     def _compare(self, values: dict[str, object], untold: AbstractSet[str]) -> list[Edge]:
         edges = []
         for key, after in values.items():
@@ -179,3 +209,12 @@ class EdgeFinder:
                 if kind is not None and (not first or kind in _AT_FIRST_SIGHT):
                     edges.append(Edge(kind, key, before, after))
         return edges
+
+
+def _levels(io: Io) -> Iterator[tuple[str, str, bool | None]]:
+    """Every input and output: the key of its bank, its name such as `digital_in.box.3`, and its level."""
+    for side in ("digital_in", "digital_out"):
+        banks: dict[str, list[bool | None] | None] = getattr(io, side) or {}
+        for bank, levels in banks.items():
+            for number, level in enumerate(levels or ()):
+                yield f"io.{side}.{bank}", f"{side}.{bank}.{number}", level

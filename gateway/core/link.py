@@ -72,6 +72,7 @@ class Link:
             controller_clock,
             stale_s=robot.stale_s,
             commands=robot.protocol.commands,
+            io_events=robot.io_events,
         )
         topics = bus.add(robot.name, ["link", "link_stats"])
         self._own = {group: OwnTopic(topic, bus, robot.origin) for group, topic in topics.items()}
@@ -207,7 +208,7 @@ class Link:
         self._outcome = LinkState.ONLINE
         self._online_s = self._clock.monotonic()
         before = self._data.state
-        layout = frame.layout.name + self._unexplained(frame)
+        layout = _title(frame.layout) + self._unexplained(frame)
         notes = self._notes()
         attempts = self._data.attempts
         self._enter(LinkState.ONLINE, None, attempts=0, layout=layout, notes=notes)
@@ -321,7 +322,7 @@ class Link:
         layout = self._publisher.layout
         if layout is not None and layout is not self._layout:  # configured again inside the session
             self._layout = layout
-            now = msgspec.structs.replace(now, layout=layout.name)
+            now = msgspec.structs.replace(now, layout=_title(layout))
         if now != self._data:
             self._data = now
             self._say()
@@ -338,6 +339,11 @@ class Link:
     def _raise(self, kind: EventKind, before: object, after: object, reason: str | None) -> None:
         raw: dict[str, object] = {} if reason is None else {"reason": reason}
         self._bus.raise_event(self._publisher.events, self._timeline.now(), kind, before, after, raw)
+
+
+def _title(table: Table) -> str:
+    """A table, for the operator."""
+    return table.title if isinstance(table, Layout) else table.name
 
 
 def announce_broken(robot: BrokenRobot, bus: Bus, clock: Clock) -> None:

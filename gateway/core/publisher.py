@@ -10,7 +10,7 @@ import msgspec
 import structlog
 
 from gateway.api.decoder import Entry, Frame, Table
-from gateway.api.model import GROUPS, Fault, Quality, Safety, Sample, Status
+from gateway.api.model import GROUPS, Fault, Io, Quality, Safety, Sample, Status
 from gateway.api.normaliser import Normaliser
 from gateway.api.reader import Reader
 from gateway.api.readers import raw_values
@@ -51,6 +51,7 @@ class Publisher:
         clock: The controller's own clock, or None.
         stale_s: Age at which a value is no longer told, where frames bring the state in parts.
         commands: Whether the robot has a topic of command objects.
+        io_events: Globs of the inputs and outputs whose changes are events.
 
     Attributes:
         bad_values: How many groups held NaN or infinity, or could not be read.
@@ -66,6 +67,7 @@ class Publisher:
         *,
         stale_s: float = 1.0,
         commands: bool = False,
+        io_events: Sequence[str] = (),
     ) -> None:
         self._bus = bus
         self._normaliser = normaliser
@@ -75,7 +77,7 @@ class Publisher:
         self._commands = bus.add(robot, ["commands"])["commands"] if commands else None
         self._parts = Parts(stale_s)
         self._part_seqs: dict[str, int] = {}
-        self._edges = EdgeFinder()
+        self._edges = EdgeFinder(io_events)
         self._edge_sources = {key: frozenset(normaliser.sources(key)) for key in EDGE_KEYS}
         self._clock = clock
         self._last: FrameReading | None = None
@@ -262,6 +264,8 @@ class Publisher:
             reading.replace(sample, topic.group.name)
         elif topic.group.name == "safety":
             edges = self._edges.observe_safety(cast("Safety", sample.data), state.untold)
+        elif topic.group.name == "io":
+            edges = self._edges.observe_io(cast("Io", sample.data))
         settled = sample.data
         for path in state.reader.volatile:
             settled = _without(settled, path)
@@ -273,7 +277,7 @@ class Publisher:
 
     def _raise(self, edge: Edge, reading: FrameReading, t: int) -> None:
         frame = reading.frame
-        raw = raw_values(frame, self._normaliser.sources(edge.key))
+        raw = raw_values(frame, self._normaliser.sources_of(edge.key))
         if edge.key == "status.faults":
             raw = _of_fault(raw, edge.before if edge.after is None else edge.after)
         self._bus.raise_event(self._events, t, edge.kind, edge.before, edge.after, raw)

@@ -28,6 +28,7 @@ class RobotSettings:
         stale_s: Time without a good frame after which the link is stale.
         clock_zone: Time zone of the controller's own clock; None: not known, so `t_src` stays null.
         estop_polarity: Level of a pressed emergency stop; None: not known, so `e_stopped` stays null.
+        io_events: Globs of the inputs and outputs whose changes are events, such as `digital_in.box.3`.
         options: The protocol's own options.
         origin: `sim` for a virtual controller of the demo.
     """
@@ -41,6 +42,7 @@ class RobotSettings:
     stale_s: float
     estop_polarity: EstopPolarity | None = None
     clock_zone: tzinfo | None = None
+    io_events: tuple[str, ...] = ()
     options: msgspec.Struct = field(default_factory=NoOptions)
     origin: Literal["live", "sim"] = "live"
 

@@ -1,10 +1,9 @@
-"""The native WebSocket door: one reader and one writer for each client; see `gateway.api.messages` for the protocol."""
+"""The native WebSocket door: a reader for each client, one turn for all; `gateway.api.messages` has the protocol."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast
@@ -17,8 +16,11 @@ from aiohttp import WSCloseCode, WSMessage, WSMsgType, web
 
 from gateway.api import messages
 from gateway.server.cell import Cell
+from gateway.server.cohort import Shared
+from gateway.server.frames import Wire, frame
 from gateway.server.outbox import Outbox
 from gateway.server.requests import BadRequest, Requests, decode, id_of
+from gateway.server.turns import Turns
 from gateway.server.wire import ENCODINGS, JSON, Encoding, encode_response
 
 _LOG = structlog.get_logger()
@@ -48,7 +50,19 @@ class Pace:
 
 
 class Clients(set["Client"]):
-    """The clients that are here now."""
+    """The clients that are here now.
+
+    Attributes:
+        turns: When they are written to; made with the first of them.
+    """
+
+    turns: Turns | None = None
+
+    def turns_of(self, pace: Pace) -> Turns:
+        """When clients are written to, all of this door together."""
+        if self.turns is None:
+            self.turns = Turns(pace.flush_s)
+        return self.turns
 
     async def send_away(self) -> None:
         """Tell every client that the gateway is going; one that does not listen holds nobody up."""
@@ -72,10 +86,16 @@ async def websocket(request: web.Request) -> web.StreamResponse:
         timeout=_CLOSE_S,
     )
     asked = _url_subscription(request)
-    await socket.prepare(request)
-    transport = cast("asyncio.WriteTransport", request.transport)  # uvloop's is no subclass
-    client = Client(socket, transport, request.app[CELL], request.app[PACE])
-    request.app[CLIENTS].add(client)
+    try:
+        writer = await socket.prepare(request)
+    except ConnectionError:  # it has gone again: no reason for a traceback in the log
+        return web.Response()
+    if request.transport is None:
+        return socket
+    clients, pace = request.app[CLIENTS], request.app[PACE]
+    wire = Wire(socket, cast("asyncio.WriteTransport", request.transport), writer)  # uvloop's is no subclass
+    client = Client(socket, wire, request.app[CELL], clients.turns_of(pace), pace.stuck_s)
+    clients.add(client)
     log = _LOG.bind(peer=request.remote)
     log.debug("subscriber.connected")
     try:
@@ -84,7 +104,7 @@ async def websocket(request: web.Request) -> web.StreamResponse:
         log.exception("subscriber.failed")
         await client.close(WSCloseCode.INTERNAL_ERROR, "internal error, see the gateway's log")
     finally:
-        request.app[CLIENTS].discard(client)
+        clients.discard(client)
         if client.sent_away in {None, _STOPPING}:
             log.debug("subscriber.disconnected", reason=client.sent_away or str(socket.close_code))
         else:
@@ -97,41 +117,41 @@ class Client:
 
     Args:
         socket: The prepared WebSocket.
-        transport: What it stands on; cut off when the client does not even take a farewell.
+        wire: The way to it; cut off when the client does not even take a farewell.
         cell: What it may read.
-        pace: How fast it is served.
+        turns: When it is written to.
+        stuck_s: When its socket takes nothing for so long it is sent away.
 
     Attributes:
         sent_away: Why the gateway has ended the connection; None: it has not.
     """
 
-    def __init__(
-        self,
-        socket: web.WebSocketResponse,
-        transport: asyncio.WriteTransport,
-        cell: Cell,
-        pace: Pace,
-    ) -> None:
+    def __init__(self, socket: web.WebSocketResponse, wire: Wire, cell: Cell, turns: Turns, stuck_s: float) -> None:
         self._socket = socket
-        self._transport = transport
-        self._pace = pace
+        self._wire = wire
+        self._turns = turns
+        self._stuck_s = stuck_s
         self._encoding: Encoding = ENCODINGS.get(socket.ws_protocol or "", JSON)
-        self._outbox = Outbox(self._encoding, pace.flush_s, time.monotonic)
+        self._outbox = Outbox(self._encoding, turns.cohorts.flush_s, turns.cohorts.now, turns.cohorts, self._on_turn)
         self._requests = Requests(cell, self._encoding, self._outbox)
-        self._answers: list[bytes] = []
-        self._n_unread = 0  # bytes of answers that the socket has not taken
+        self._answers: list[bytes] = []  # those that the socket does not take
+        self._n_unread = 0  # their bytes
         self._taken = anyio.Event()
         self._wrong_in_a_row = 0
+        self._clogged = False
+        self._trouble = anyio.Event()
+        self._failure: Exception | None = None
+        self._waiting = anyio.CancelScope()
         self.sent_away: str | None = None
 
     async def serve(self, first: messages.Subscribe | None) -> None:
-        """Read and write until the client leaves."""
-        self._owe(self._requests.welcome())
-        if first is not None:
-            self._answer(first)
+        """Read until the client leaves; it is written to when its turn comes."""
         try:
+            self._owe(self._requests.welcome())
+            if first is not None:
+                await self._answer(first)
             async with anyio.create_task_group() as tasks:
-                tasks.start_soon(self._write)
+                tasks.start_soon(self._look_after)
                 await self._read()
                 tasks.cancel_scope.cancel()
         except* ConnectionError:
@@ -147,48 +167,70 @@ class Client:
             with anyio.move_on_after(_CLOSE_S, shield=True):
                 with contextlib.suppress(ConnectionError):  # aiohttp's own drain fails after one that was cancelled
                     await self._socket.close(code=code, message=reason.encode(), drain=False)
-                while self._transport.get_write_buffer_size():  # noqa: ASYNC110 - a transport has no event for it
-                    await anyio.sleep(_CLOSE_S / 100)
+                await self._wire.emptied()
         finally:
-            if self._transport.get_write_buffer_size() or not self._transport.is_closing():
-                self._transport.abort()
+            self._wire.cut()
             self._taken.set()
 
     async def _read(self) -> None:
         async for message in self._socket:
             if message.type is WSMsgType.ERROR:
                 return
-            self._take(message)
+            await self._take(message)
             if self._wrong_in_a_row > _PATIENCE:
                 await self.close(WSCloseCode.POLICY_VIOLATION, "too many wrong messages")
                 return
             while self._n_unread > _UNREAD_ANSWERS and self.sent_away is None:
                 self._taken = anyio.Event()
                 await self._taken.wait()
+            await anyio.lowlevel.checkpoint()  # many requests at once do not hold up the other clients
 
-    async def _write(self) -> None:
+    def _on_turn(self, shared: Shared) -> None:
+        """Write what is due. A mistake in it is this client's alone."""
+        if self.sent_away is not None or self._wire.ended:
+            self._outbox.fall_behind()  # what still comes until it has left is bounded
+        elif self._clogged or self._wire.full:
+            self._clogged = True
+            self._outbox.fall_behind()
+            self._trouble.set()
+            if self._outbox.overflowed:
+                self._waiting.cancel()
+        else:
+            try:
+                self._write(shared)
+            except Exception as error:  # noqa: BLE001 - raised again by the client's own task
+                self._failure = error
+                self._trouble.set()
+
+    def _write(self, shared: Shared) -> None:
+        answers, self._answers, self._n_unread = self._answers, [], 0
+        for made in [*answers, *self._outbox.messages(shared)]:
+            self._wire.write(made)
+            self._turns.n_bytes += len(made)
+        self._taken.set()
+        if self._outbox.overflowed:
+            self._trouble.set()
+
+    async def _look_after(self) -> None:
+        """Sleep while the client keeps up; give one that does not its time, and send it away after that."""
         while True:
-            await self._outbox.wait()
-            answers, self._answers = self._answers, []
-            for message in [*answers, *self._outbox.collect()]:
-                if not await self._send(message):
-                    await self.close(WSCloseCode.TRY_AGAIN_LATER, "too slow: nothing was read")
-                    return
-            if self._outbox.has_more:
-                await anyio.lowlevel.checkpoint()  # the other clients have their turn
-            self._n_unread -= sum(map(len, answers))
-            self._taken.set()
+            await self._trouble.wait()
+            self._trouble = anyio.Event()
+            if self._failure is not None:
+                raise self._failure
+            if not self._outbox.overflowed:
+                with anyio.move_on_after(self._stuck_s) as self._waiting:
+                    await self._wire.drained()
             if self._outbox.overflowed:
                 await self.close(WSCloseCode.TRY_AGAIN_LATER, "too slow: more events than can be queued")
                 return
+            if self._waiting.cancelled_caught:
+                await self.close(WSCloseCode.TRY_AGAIN_LATER, "too slow: nothing was read")
+                return
+            self._clogged = False
+            self._turns.cohorts.ask(self._outbox)
 
-    async def _send(self, message: bytes) -> bool:
-        """Send one message; whether the socket took it in time."""
-        with anyio.move_on_after(self._pace.stuck_s) as scope:
-            await self._socket.send_frame(message, WSMsgType.TEXT if self._encoding.text else WSMsgType.BINARY)
-        return not scope.cancelled_caught
-
-    def _take(self, message: WSMessage) -> None:
+    async def _take(self, message: WSMessage) -> None:
         """Answer one message; whatever it is, nothing but an answer can follow."""
         data = message.data.encode() if isinstance(message.data, str) else bytes(message.data)
         try:
@@ -196,7 +238,7 @@ class Client:
         except BadRequest as error:
             self._refuse(id_of(self._encoding, data), error)
         else:
-            self._answer(request)
+            await self._answer(request)
 
     def _decoded(self, kind: WSMsgType, data: bytes) -> messages.Request:
         expected = WSMsgType.TEXT if self._encoding.text else WSMsgType.BINARY
@@ -204,9 +246,9 @@ class Client:
             raise BadRequest("BAD_MESSAGE", f"{self._encoding.name} takes {expected.name.lower()} frames")
         return decode(self._encoding, data)
 
-    def _answer(self, request: messages.Request) -> None:
+    async def _answer(self, request: messages.Request) -> None:
         try:
-            answer = self._requests.answer(request)
+            answer = await self._requests.answer_in_turns(request)
         except BadRequest as error:
             self._refuse(request.id, error)
         else:
@@ -218,10 +260,11 @@ class Client:
         self._owe(messages.Error(id=name, code=error.code, message=str(error)))
 
     def _owe(self, answer: messages.Response) -> None:
-        encoded = encode_response(self._encoding, answer)
-        self._answers.append(encoded)
-        self._n_unread += len(encoded)
-        self._outbox.wake_by(time.monotonic())
+        """Answer in this client's next turn, before anything that follows from it."""
+        made = frame(encode_response(self._encoding, answer), text=self._encoding.text)
+        self._answers.append(made)
+        self._n_unread += len(made)
+        self._turns.cohorts.ask(self._outbox)
 
 
 def _query_fault(names: Sequence[str]) -> str | None:

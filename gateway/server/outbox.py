@@ -1,6 +1,6 @@
 """What one client is owed: the samples of its subscriptions, queued events, and counts of what it missed.
 
-Subscriptions listen to the bus; the outbox collects what is due into as few messages as possible. Nothing here waits
+Subscriptions stand in cohorts; the outbox collects what is due into as few messages as possible. Nothing here waits
 for a socket: a client that does not read costs these bounds of memory and no more.
 """
 
@@ -9,43 +9,30 @@ from __future__ import annotations
 import heapq
 import math
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 
 import anyio
 
 from gateway.api.messages import Missed
 from gateway.api.model import Event
-from gateway.core.bus import Reading, Topic
+from gateway.core.bus import Topic
 from gateway.core.clock import deadline_s
-from gateway.server.inbox import Every, Inbox, Newest, Rated
+from gateway.server.backlog import Backlog
+from gateway.server.cohort import QUEUED_SAMPLES, Batch, Cohorts, Shared, Wish
 from gateway.server.wire import Cut, Encoding, encode_events, encode_response
 
-QUEUED_SAMPLES = 10_000
+__all__ = ["QUEUED_EVENTS", "QUEUED_SAMPLES", "Outbox", "Subscription", "Wish"]
+
 QUEUED_EVENTS = 20_000
-# So many events go into one message: encoding a long queue must not hold up the other clients.
+# So many events, or samples of a backlog, leave in one turn: encoding more must not hold up the other clients.
 EVENTS_A_MESSAGE = 500
+SAMPLES_A_TURN = 200
 # A client is told what it missed at most once in so many seconds.
 MISSED_PERIOD_S = 1.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Wish:
-    """What one subscription asked for.
-
-    Args:
-        period_s: Shortest time between two samples of a topic; None: every change, coalesced within the flush time.
-        every: Whether every sample is wanted, up to the bound.
-        cut: Fields and encoding.
-    """
-
-    period_s: float | None
-    every: bool
-    cut: Cut
-
-
 class Subscription:
-    """One subscription: a listener on its topics. What is latched goes at once, samples when they are due.
+    """One subscription of one client: a member of the cohort of all that want the same.
 
     Args:
         wish: What was asked for.
@@ -55,73 +42,96 @@ class Subscription:
 
     def __init__(self, wish: Wish, topics: Sequence[Topic], outbox: Outbox) -> None:
         self.topics = tuple(topics)
-        self._encoded = wish.cut.encoded
+        self.wish = wish
         self._outbox = outbox
-        self._first: list[tuple[Topic, Reading]] = []
-        self._states, self._samples = _inboxes(wish, outbox)
-
-    @property
-    def due_s(self) -> float:
-        """Monotonic time when something of it is due."""
-        return -math.inf if self._first else min(self._states.due_s, self._samples.due_s)
+        self.backlog = Backlog(outbox.missed, every=wish.every)
 
     def open(self) -> None:
         """Start listening; the latest readings are due at once."""
-        for topic in self.topics:
-            topic.listeners = [*topic.listeners, self]
-            if topic.latest is not None:
-                self._first.append((topic, topic.latest))
-        self._outbox.wake_by(self.due_s)
+        self._outbox.cohorts.join(self.wish, self.topics, self)
+        first = [(topic, topic.latest) for topic in self.topics if topic.latest is not None]
+        if first:
+            self.receive(Batch(self.wish.cut, first))
 
     def close(self) -> None:
         """Stop listening."""
-        for topic in self.topics:
-            topic.listeners = [listener for listener in topic.listeners if listener is not self]
+        self._outbox.cohorts.leave(self.wish, self.topics, self)
 
-    def on_reading(self, topic: Topic, reading: Reading) -> None:
-        """Take a reading from the bus."""
-        inbox = self._states if topic.group.delivery == "state" else self._samples
-        inbox.put(topic, reading, self._outbox.now())
-        self._outbox.wake_by(inbox.due_s)
+    def receive(self, batch: Batch) -> None:
+        """Take readings that are due."""
+        if self._outbox.behind:
+            self.backlog.put(batch)
+        else:
+            self._outbox.owe(self, batch)
 
-    def on_event(self, topic: Topic, event: Event) -> None:  # noqa: ARG002 - a listener's signature
-        """Take an event from the bus."""
+    def occurred(self, event: Event) -> None:
+        """Take an event."""
         self._outbox.add_event(event)
 
-    def take(self, now_s: float) -> list[bytes]:
-        """Give out everything that is due now, encoded, in order per topic."""
-        first, self._first = self._first, []
-        due = [*first, *self._states.take(now_s), *self._samples.take(now_s)]
-        return [self._encoded(topic, reading) for topic, reading in due]
+    def lose(self, missed: Mapping[str, int]) -> None:
+        """Take note of samples that will not come."""
+        if missed:
+            self._outbox.missed.update(missed)
+            self._outbox.wake_by(self._outbox.missed_due_s)
 
 
 class Outbox:
     """Everything that one client is owed.
 
+    A door with many clients gives all of them the same cohorts, and calls `messages` when it is the client's turn. An
+    outbox that stands alone has its own, and one task that calls `wait` and `collect`.
+
     Args:
         encoding: The client's encoding.
         flush_s: How long samples without a rate may be collected into one message.
         now: The monotonic clock, in s.
+        cohorts: Those of the door; None: its own.
+        on_turn: Called when something is due, with what is made in this turn.
 
     Attributes:
         missed: Samples that the client asked for and will not get, by topic.
         overflowed: Whether more events came than the bound allows: the client must go.
-        due_s: Monotonic time when something is due.
+        behind: Whether samples wait in the backlogs because the client did not read.
+        cohorts: Where its subscriptions stand.
     """
 
-    def __init__(self, encoding: Encoding, flush_s: float, now: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        encoding: Encoding,
+        flush_s: float,
+        now: Callable[[], float],
+        cohorts: Cohorts | None = None,
+        on_turn: Callable[[Shared], None] = lambda _: None,
+    ) -> None:
         self.encoding = encoding
-        self.flush_s = flush_s
-        self.now = now
+        self.cohorts = Cohorts(flush_s, now, self._woken) if cohorts is None else cohorts
+        self.flush = on_turn
         self.missed: Counter[str] = Counter()
         self.overflowed = False
+        self.behind = False
         self.subscriptions: dict[int | str, Subscription] = {}
-        self.due_s = math.inf
+        self._cut = Cut(encoding, None)
+        self._owed: list[tuple[Subscription, Batch]] = []
         self._events: deque[Event] = deque()
         self._last_seqs: dict[str, int] = {}  # by ring
         self._events_gone: int | None = 0
         self._missed_said_s = -math.inf
         self._wake = anyio.Event()
+
+    @property
+    def due_s(self) -> float:
+        """Monotonic time when something is due."""
+        return self.cohorts.due_s
+
+    @property
+    def missed_due_s(self) -> float:
+        """Monotonic time when the client may be told again what it missed."""
+        return self._missed_said_s + MISSED_PERIOD_S
+
+    @property
+    def has_more(self) -> bool:
+        """Whether something is left that did not fit into the last messages."""
+        return bool(self._events) or self.behind
 
     def add(self, name: int | str, subscription: Subscription) -> None:
         """Open a subscription; one of the same name is closed."""
@@ -134,12 +144,26 @@ class Outbox:
         found = self.subscriptions.pop(name, None)
         if found is not None:
             found.close()
+            self._owed = [owed for owed in self._owed if owed[0] is not found]
         return found is not None
 
     def close(self) -> None:
         """Close every subscription."""
         for name in list(self.subscriptions):
             self.remove(name)
+        self.cohorts.forget(self)
+
+    def owe(self, subscription: Subscription, batch: Batch) -> None:
+        """Take readings that are due."""
+        self._owed.append((subscription, batch))
+        self.cohorts.ask(self)
+
+    def fall_behind(self) -> None:
+        """Put what is due into the backlogs: the client cannot be written to."""
+        self.behind = True
+        for subscription, batch in self._owed:
+            subscription.backlog.put(batch)
+        self._owed.clear()
 
     def add_event(self, event: Event) -> None:
         """Queue an event; two subscriptions that match it deliver it once."""
@@ -150,7 +174,7 @@ class Outbox:
             self.overflowed = True
         else:
             self._events.append(event)
-        self.wake_by(-math.inf)
+        self.cohorts.ask(self)
 
     def resume(self, events: Sequence[Event], missed: int | None) -> None:
         """Queue the events that a client reads on after, up to the bound: then the oldest count as missed.
@@ -172,58 +196,67 @@ class Outbox:
             self._events_gone = None
         else:
             self._events_gone += missed + over
-        self.wake_by(-math.inf)
-
-    @property
-    def has_more(self) -> bool:
-        """Whether events are left that did not fit into the last message."""
-        return bool(self._events)
+        self.cohorts.ask(self)
 
     def wake_by(self, at_s: float) -> None:
-        """Make `wait` return by a monotonic time."""
-        if at_s < self.due_s:
-            self.due_s = at_s
-            self._wake.set()
+        """Make `wait` return, or the client's turn come, by a monotonic time."""
+        self.cohorts.ask(self, at_s)
 
     async def wait(self) -> None:
-        """Wait until something is due."""
-        while self.due_s > self.now():
+        """Wait until something is due; only for an outbox that stands alone."""
+        while self.due_s > self.cohorts.now():
             self._wake = anyio.Event()
             with anyio.CancelScope(deadline=deadline_s(self.due_s)):
                 await self._wake.wait()
 
     def collect(self) -> list[bytes]:
-        """Everything that is due now, as messages: events first, then all samples in one, then what was missed."""
-        now_s = self.now()
+        """Everything that is due now, as messages; only for an outbox that stands alone."""
+        self.cohorts.distribute()
+        return self.messages(Shared())
+
+    def messages(self, shared: Shared) -> list[bytes]:
+        """Everything that is owed now: events first, then all samples in one message, then what was missed."""
         messages = []
         if self._events:
-            next_ones = [self._events.popleft() for _ in range(min(EVENTS_A_MESSAGE, len(self._events)))]
-            messages.append(encode_events(self.encoding, next_ones))
-        due = [subscription for subscription in self.subscriptions.values() if subscription.due_s <= now_s]
-        parts = [part for subscription in due for part in subscription.take(now_s)]
-        if parts:
-            messages.append(self.encoding.list_message("data", "samples", parts))
-        if self._events_gone != 0 or (self.missed and now_s >= self._missed_said_s + MISSED_PERIOD_S):
-            messages.append(self._say_missed(now_s))
-        self.due_s = min((one.due_s for one in self.subscriptions.values()), default=math.inf)
-        if self._events:
-            self.due_s = -math.inf
-        if self.missed:
-            self.due_s = min(self.due_s, self._missed_said_s + MISSED_PERIOD_S)
+            messages.append(self._next_events(shared))
+        if self.behind:
+            self._take_backlog()
+        if self._owed:
+            messages += shared.data(tuple([batch for _, batch in self._owed]))
+            self._owed.clear()
+        if self.missed or self._events_gone != 0:
+            self._say_missed(shared, messages)
+        if self._events or self.behind:
+            self.cohorts.ask(self)
         return messages
 
-    def _say_missed(self, now_s: float) -> bytes:
+    def _next_events(self, shared: Shared) -> bytes:
+        events = [self._events.popleft() for _ in range(min(EVENTS_A_MESSAGE, len(self._events)))]
+        names = tuple([event.name for event in events])
+        return shared.other(self._cut, names, lambda: encode_events(self.encoding, events))
+
+    def _take_backlog(self) -> None:
+        """Owe the next piece of the backlogs; with the last one the client has caught up."""
+        left = SAMPLES_A_TURN
+        for subscription in self.subscriptions.values():
+            taken = subscription.backlog.take(left)
+            if taken:
+                self._owed.append((subscription, Batch(subscription.wish.cut, taken)))
+                left -= len(taken)
+        self.behind = any(len(subscription.backlog) for subscription in self.subscriptions.values())
+
+    def _say_missed(self, shared: Shared, messages: list[bytes]) -> None:
+        now_s = self.cohorts.now()
+        if self._events_gone == 0 and now_s < self.missed_due_s:
+            self.cohorts.ask(self, self.missed_due_s)
+            return
         message = Missed(samples=dict(self.missed), events=self._events_gone)
+        shared.n_missed += self.missed.total()
         self.missed.clear()
         self._events_gone = 0
         self._missed_said_s = now_s
-        return encode_response(self.encoding, message)
+        key = ("missed", tuple(message.samples.items()), message.events)
+        messages.append(shared.other(self._cut, key, lambda: encode_response(self.encoding, message)))
 
-
-def _inboxes(wish: Wish, outbox: Outbox) -> tuple[Inbox, Inbox]:
-    """Make the inboxes of the state topics and of the sample topics."""
-    if wish.every:
-        return Every(0.0, QUEUED_SAMPLES, outbox.missed), Every(outbox.flush_s, QUEUED_SAMPLES, outbox.missed)
-    if wish.period_s is None:
-        return Newest(0.0, None), Newest(outbox.flush_s, outbox.missed)
-    return Newest(0.0, None), Rated(wish.period_s, outbox.now(), outbox.missed)
+    def _woken(self, _: float) -> None:
+        self._wake.set()

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from itertools import islice
 
+import anyio.lowlevel
 import msgspec
 
 from gateway import __version__
@@ -22,6 +23,9 @@ from gateway.server.wire import Cut, Encoding
 
 # No topic and no name of a field is nearly as long; matching longer ones would cost the other clients time.
 _MAX_NAME = 256
+# So many globs are matched at a time: a full request of them takes tens of ms in a large cell.
+_GLOBS_A_TURN = 16
+_OfTopics = messages.Subscribe | messages.Get | messages.Events
 
 
 class BadRequest(Exception):  # noqa: N818 - it is an answer to the client, no error of ours
@@ -87,15 +91,39 @@ class Requests:
         Raises:
             BadRequest: It cannot be done; nothing has changed.
         """
-        return self._HANDLERS[type(request)](self, request)
+        if not isinstance(request, _OfTopics):
+            return self._HANDLERS[type(request)](self, request)
+        _check_names("topic", request.topics)
+        return self._answer_of(request, self._cell.bus.match(request.topics))
 
-    def _subscribe(self, request: messages.Subscribe) -> messages.Result:
+    async def answer_in_turns(self, request: messages.Request) -> messages.Result:
+        """The same; where finding its topics takes long, the other clients have their turn.
+
+        Raises:
+            BadRequest: It cannot be done; nothing has changed.
+        """
+        if not isinstance(request, _OfTopics):
+            return self.answer(request)
+        _check_names("topic", request.topics)
+        found: set[Topic] = set()
+        distinct = list(dict.fromkeys(request.topics))
+        for at in range(0, len(distinct), _GLOBS_A_TURN):
+            found.update(self._cell.bus.match(distinct[at : at + _GLOBS_A_TURN]))
+            if at + _GLOBS_A_TURN < len(distinct):
+                await anyio.lowlevel.checkpoint()
+        return self._answer_of(request, [topic for topic in self._cell.bus.topics.values() if topic in found])
+
+    def _answer_of(self, request: _OfTopics, topics: list[Topic]) -> messages.Result:
+        if not topics:
+            raise BadRequest("UNKNOWN_TOPIC", self._cell.unknown_topic(request.topics))
+        return self._TOPIC_HANDLERS[type(request)](self, request, topics)
+
+    def _subscribe(self, request: messages.Subscribe, topics: list[Topic]) -> messages.Result:
         subscriptions = self._outbox.subscriptions
         if request.id not in subscriptions and len(subscriptions) >= messages.MAX_SUBSCRIPTIONS:
             raise BadRequest("TOO_MUCH", f"a client has at most {messages.MAX_SUBSCRIPTIONS} subscriptions")
         if request.mode == "all" and request.rate_hz is not None:
             raise BadRequest("BAD_REQUEST", 'mode "all" takes every sample: leave rate_hz out')
-        topics = self._matched(request.topics)
         cut = Cut(self._encoding, None if request.fields is None else self._paths(topics, request.fields))
         resumed = None if request.since is None else self._read_back(request.since, sys.maxsize, topics)
         period_s = None if request.rate_hz is None else 1 / request.rate_hz
@@ -111,11 +139,11 @@ class Requests:
             raise BadRequest("BAD_REQUEST", f"there is no subscription {request.id!r}")
         return messages.Result(id=request.id)
 
-    def _get(self, request: messages.Get) -> messages.Result:
-        return messages.Result(id=request.id, samples=self._cell.latest(self._matched(request.topics), self._encoding))
+    def _get(self, request: messages.Get, topics: list[Topic]) -> messages.Result:
+        return messages.Result(id=request.id, samples=self._cell.latest(topics, self._encoding))
 
-    def _events(self, request: messages.Events) -> messages.Result:
-        events, missed = self._read_back(request.since, request.limit, self._matched(request.topics))
+    def _events(self, request: messages.Events, topics: list[Topic]) -> messages.Result:
+        events, missed = self._read_back(request.since, request.limit, topics)
         return messages.Result(id=request.id, events=events, missed=-1 if missed is None else missed)
 
     def _robots(self, request: messages.Robots) -> messages.Result:
@@ -130,13 +158,6 @@ class Requests:
 
     def _ping(self, request: messages.Ping) -> messages.Result:
         return messages.Result(id=request.id, t=time.time_ns() // 1000)
-
-    def _matched(self, patterns: list[str]) -> list[Topic]:
-        _check_names("topic", patterns)
-        topics = self._cell.bus.match(patterns)
-        if not topics:
-            raise BadRequest("UNKNOWN_TOPIC", self._cell.unknown_topic(patterns))
-        return topics
 
     def _paths(self, topics: list[Topic], fields: list[str]) -> tuple[tuple[str, ...], ...]:
         _check_names("field", fields)
@@ -171,13 +192,15 @@ class Requests:
         return list(islice(merged, limit)), gone
 
     _HANDLERS: dict[type, Callable[..., messages.Result]] = {  # noqa: RUF012 - a table, never changed
-        messages.Subscribe: _subscribe,
         messages.Unsubscribe: _unsubscribe,
-        messages.Get: _get,
-        messages.Events: _events,
         messages.Robots: _robots,
         messages.Describe: _describe,
         messages.Ping: _ping,
+    }
+    _TOPIC_HANDLERS: dict[type, Callable[..., messages.Result]] = {  # noqa: RUF012 - the same
+        messages.Subscribe: _subscribe,
+        messages.Get: _get,
+        messages.Events: _events,
     }
 
 

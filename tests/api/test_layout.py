@@ -223,3 +223,10 @@ def test_bulk_and_single_reading_agree(payload: bytes) -> None:
     assert record["last"].item() == single["last"]
     for shown, bulk in zip(single["angles"], record["angles"].tolist(), strict=True):  # type: ignore[call-overload] # a list
         assert shown == bulk if math.isfinite(bulk) else shown is None
+
+
+def test_a_layout_whose_firmware_is_known_says_so_and_a_further_prefix_does_not() -> None:
+    whole = Layout(name="8", size=8, fields=(Field(name="a", offset=0, type="u32"),), source="none", firmware="2.0")
+    assert whole.title == "8 (firmware 2.0)"
+    assert whole.prefix(4, name="4", firmware="1.0 to 1.3").title == "4 (firmware 1.0 to 1.3)"
+    assert whole.prefix(6, name="6 bytes, the first of 8").title == "6 bytes, the first of 8"

@@ -64,14 +64,14 @@ def command_here(*arguments: str, env: Mapping[str, str] | None = None, cwd: Pat
 
 
 @asynccontextmanager
-async def running_cell(name: str = "r1") -> AsyncIterator[Gateway]:
-    """A gateway with one virtual Rainbow controller, online."""
+async def running_cell(name: str = "r1", port: int = 0) -> AsyncIterator[Gateway]:
+    """A gateway with one virtual Rainbow controller, online; on a port of its own or a given one."""
     registry = Registry()
     simulator = cast("Simulator", registry.simulator("rainbow"))
     async with serve(simulator, host="127.0.0.2", port=0, scenario="steady") as (controller,):
         text = f"""
             [server]
-            listen = "127.0.0.1:0"
+            listen = "127.0.0.1:{port}"
             [[robots]]
             name = "{name}"
             vendor = "rainbow"

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shlex
+import signal
 import sys
 
 import anyio
 import pytest
+from anyio.abc import ByteReceiveStream
 
-from tests.cli.command import ROOT, command, environment, running_cell
+from tests.cli.command import PYTHON, ROOT, command, environment, running_cell
 
 
 async def test_the_three_formats() -> None:
@@ -85,17 +88,35 @@ async def test_a_pipe_that_closes_early_is_no_error(arguments: str) -> None:
     assert done.returncode == 0
 
 
-async def test_it_ends_with_the_reason_when_the_gateway_goes() -> None:
+async def until_line(stream: ByteReceiveStream, part: str) -> str:
+    """Everything that is said up to some words."""
+    said = ""
+    with anyio.fail_after(10):
+        while part not in said:
+            said += (await stream.receive()).decode()
+    return said
+
+
+async def test_it_goes_on_when_the_gateway_comes_back_and_says_both() -> None:
+    arguments = ["tail", "*/events", "*/joints", "--rate", "20"]
     async with running_cell() as gateway:
+        port = gateway.port
         process = await anyio.open_process(
-            [sys.executable, "-m", "gateway", "tail", "--url", gateway.url], env=environment(), cwd=ROOT
+            [*PYTHON, *arguments, "--url", gateway.url], env=environment(PYTHONUNBUFFERED="1"), cwd=ROOT
         )
         assert process.stdout is not None
-        await process.stdout.receive()
-    async with process:
         assert process.stderr is not None
+        await until_line(process.stdout, "r1/joints")
+    async with process:
+        said = await until_line(process.stderr, "disconnected:")
+        assert "the connection has ended: the gateway is stopping - trying again" in said
+        async with running_cell(port=port):
+            assert "again" in await until_line(process.stderr, "connected: again")
+            out = await until_line(process.stdout, "link.online")
+            assert re.search(r"r1  link.online  HANDSHAKING → ONLINE  \[[0-9a-f]{8}:1\]\n", out)
+        process.send_signal(signal.SIGINT)
         with anyio.fail_after(5):
-            assert await process.wait() == 1
-        err = b"".join([chunk async for chunk in process.stderr]).decode()
-    assert "the connection has ended: the gateway is stopping" in err
-    assert "Traceback" not in err
+            assert await process.wait() == 0
+        rest = b"".join([chunk async for chunk in process.stderr]).decode()
+    assert "Traceback" not in rest
+    assert "\x1b" not in out

@@ -108,6 +108,19 @@ def test_the_longest_line_of_joints_has_80_columns(axes: int) -> None:
     assert lines[1].endswith("rad")
 
 
+def test_a_line_of_an_array_has_80_columns_whatever_its_key_and_unit() -> None:
+    data = {"target_pose.orientation": [0.1, 0.2, 0.3, 0.9], "target_twist": [-1.25, 0.0, 12.5, 0.0, 0.0, -3.0]}
+    _, _, twist = sample_lines(sample("r1/tcp", data), {"target_twist": "m/s, rad/s"})
+    assert len(twist) <= 80
+    assert twist.split()[1:7] == ["-1.250", "0.000", "12.500", "0.000", "0.000", "-3.000"]
+
+
+def test_numbers_above_a_hundred_stand_in_columns_with_two_digits() -> None:
+    _, warm, cool = sample_lines(sample("r1/x", {"a": [306.381, 99.5, None], "b": [6.0, 99.5, 1.0]}), {"a": "K"})
+    assert warm == "  a  306.38  99.50      –  K"  # noqa: RUF001
+    assert cool == "  b   6.0000 99.5000  1.0000"
+
+
 def test_a_silent_robot_says_since_when() -> None:
     (line,) = sample_lines(sample("r1/joints", {"position": None}, Quality.DISCONNECTED, NOW), {})
     assert "DISCONNECTED  no values, last frame at " in line

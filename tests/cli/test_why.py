@@ -6,7 +6,8 @@ import msgspec
 import pytest
 
 from gateway.api.messages import RobotInfo
-from gateway.api.model import Link, LinkState
+from gateway.api.model import Link, LinkState, LinkStats
+from gateway.cli.measured import Measured
 from gateway.cli.why import explain
 from gateway.core.registry import Registry
 from tests.cli.command import command, running_cell
@@ -15,14 +16,14 @@ NOW = 1_700_000_000_000_000
 REFUSED_NOTE = Registry().vendor("fairino").protocol("cnde").when_refused
 
 
-def told(state: LinkState, reason: str | None = None, **values: object) -> str:
+def told(state: LinkState, reason: str | None = None, measured: Measured | None = None, **values: object) -> str:
     """The explanation of a robot at 10.0.2.7:20005, with some values of its link and of itself."""
     link = Link(state=state, reason=reason, since=NOW - 42_000_000, protocol="cnde", peer="10.0.2.7:20005")
     robot = RobotInfo(name="r1", vendor="fairino", protocol="cnde", groups=[], link=link)
     own = {key: value for key, value in values.items() if key in RobotInfo.__struct_fields__}
     of_link = {key: value for key, value in values.items() if key not in own}
     link = msgspec.structs.replace(link, **of_link)
-    lines = list(explain(msgspec.structs.replace(robot, link=link, **own), NOW, 80))
+    lines = list(explain(msgspec.structs.replace(robot, link=link, **own), NOW, 80, measured))
     assert max(map(len, lines)) <= 80
     return " ".join(" ".join(lines).split())
 
@@ -109,6 +110,68 @@ def test_a_robot_that_is_online_with_trouble_says_which() -> None:
     assert "Nothing" not in said
 
 
+def watched(
+    seconds: float = 2.0, *, age: float | None = 0.01, clock_offset: float | None = None, **grown: int
+) -> Measured:
+    """Two seconds of a link that had counted before: `frames`, `n_bytes`, and rejects by reason."""
+    frames, n_bytes = grown.pop("frames", 0), grown.pop("n_bytes", 0)
+    before = LinkStats(frames=1000, n_bytes=900_000, rejects=dict.fromkeys(grown, 5))
+    rejects = {reason: 5 + count for reason, count in grown.items()}
+    after = LinkStats(
+        frames=1000 + frames, n_bytes=900_000 + n_bytes, rejects=rejects, age=age, clock_offset=clock_offset
+    )
+    return Measured.between(NOW, before, NOW + int(seconds * 1e6), after)
+
+
+def test_a_connection_without_a_byte_says_for_how_long() -> None:
+    said = told(LinkState.STALE, "no good frame for 1 s", watched(3.2, age=7.5), frames=1000)
+    assert "Connected, but 0 bytes in the last 3.2 s; the last good frame came 7 s ago." in said
+    assert "0 bytes in the last 2.0 s." in told(LinkState.HANDSHAKING, "waiting", watched(age=None))
+
+
+def test_bytes_that_are_no_frames_are_told_from_none() -> None:
+    said = told(LinkState.HANDSHAKING, "waiting", watched(n_bytes=80_000, junk=9))
+    assert "80,000 bytes in the last 2.0 s, but not one good frame; rejected with `junk`." in said
+
+
+def test_the_rate_and_the_share_of_what_is_rejected_are_told_and_what_to_look_at() -> None:
+    values = {"frames": 1000, "reject_counts": {"checksum": 6}, "requested_hz": None}
+    said = told(LinkState.ONLINE, None, watched(frames=28, n_bytes=25_000, checksum=1), **values)
+    assert "14 frames a second in the last 2.0 s, 3.4 % rejected with `checksum`." in said
+    assert "Frames come damaged" in said.partition("Check next")[2]
+    calm = told(LinkState.ONLINE, None, watched(frames=250, n_bytes=25_000), frames=1000)
+    assert "125 frames a second in the last 2.0 s." in calm
+    assert calm.endswith("Nothing: it works. Its values: `robot-gateway tail r1/joints`.")
+
+
+@pytest.mark.parametrize(
+    ("offset_s", "says", "next_"),
+    [
+        (4 * 3600.0 + 1.5, "The controller's clock is 4.0 h ahead of this gateway's.", "differs by a time zone"),
+        (-9 * 3600.0, "The controller's clock is 9.0 h behind this gateway's.", "set `clock_zone`"),
+        (-305.0, "The controller's clock is 5.1 min behind this gateway's.", "have it follow a time server"),
+        (6.0, "The controller's clock is 6.0 s ahead of this gateway's.", "have it follow a time server"),
+        (86_400.0 * 400, "The controller's clock is 400.0 d ahead of this gateway's.", "clock"),
+    ],
+)
+def test_a_clock_that_is_off_is_told_and_what_it_probably_is(offset_s: float, says: str, next_: str) -> None:
+    said = told(LinkState.ONLINE, None, watched(frames=250, n_bytes=1, clock_offset=offset_s), frames=1000)
+    assert says in said
+    assert next_ in said.partition("Check next")[2]
+    assert "Nothing" not in said
+
+
+@pytest.mark.parametrize("offset_s", [None, 0.0, 4.9, -4.9])
+def test_a_clock_that_is_right_or_not_told_is_not_worth_a_word(offset_s: float | None) -> None:
+    said = told(LinkState.ONLINE, None, watched(frames=250, n_bytes=1, clock_offset=offset_s), frames=1000)
+    assert "clock" not in said
+
+
+def test_of_a_link_that_is_not_connected_nothing_is_measured() -> None:
+    said = told(LinkState.DISCONNECTED, "connection refused: nothing listens on that port", watched())
+    assert "0 bytes" not in said
+
+
 def test_few_rejects_are_no_alarm() -> None:
     said = told(LinkState.ONLINE, frames=100_000, age=0.02, reached_hz=125.0, reject_counts={"truncated": 1})
     assert "125 Hz are reached; the controller sets the rate." in said
@@ -134,6 +197,7 @@ async def test_the_command_explains_a_robot_and_names_the_nearest_one() -> None:
     assert (shown.code, shown.err) == (0, "")
     assert shown.out.startswith("cell1 is online (ONLINE for ")
     assert "Check next" in shown.out
+    assert " frames a second in the last " in shown.out
     assert max(map(len, shown.out.splitlines())) <= 80
     assert (wrong.code, wrong.out) == (1, "")
     assert 'there is no robot "cel1"; did you mean "cell1"?' in wrong.err

@@ -1,12 +1,24 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.api.model import Fault, Motion, OperatingMode, Power, Program, ProgramState, Safety, SafetyState, Status
+from gateway.api.model import (
+    Fault,
+    Io,
+    Motion,
+    OperatingMode,
+    Power,
+    Program,
+    ProgramState,
+    Safety,
+    SafetyState,
+    Status,
+)
 from gateway.core.edges import EDGE_KEYS, Edge, EdgeFinder
 
 
@@ -240,3 +252,50 @@ def test_motion_starts_and_stops_in_turns_whatever_is_unknown_between(
     finder = EdgeFinder()
     found = [kind for _, motion in states for kind in status_kinds(finder, Status(motion=motion))]
     assert all(one != after for one, after in itertools.pairwise(found))
+
+
+Triple = tuple[str, object, object]
+
+
+def io_finder(*globs: str) -> Callable[..., list[Triple]]:
+    """What a finder with some globs finds in the levels of the box's inputs and outputs."""
+    finder = EdgeFinder(globs)
+
+    def found(inputs: list[bool | None] | None, outputs: list[bool | None] | None = None) -> list[Triple]:
+        io = Io(digital_in={"box": inputs}, digital_out={"box": outputs, "tool": None})
+        return [(edge.key, edge.before, edge.after) for edge in finder.observe_io(io)]
+
+    return found
+
+
+def test_inputs_and_outputs_are_told_only_where_they_are_asked_for() -> None:
+    found = io_finder("digital_in.box.1")
+    assert found([False, False], [False]) == []
+    assert found([True, False], [True]) == []
+    assert found([True, True], [True]) == [
+        ("io.digital_in.box", {"digital_in.box.1": False}, {"digital_in.box.1": True})
+    ]
+    silent = io_finder()
+    assert silent([False]) == silent([True]) == []
+
+
+@pytest.mark.parametrize(
+    "glob", ["*", "digital_out", "digital_out.*", "digital_out.box", "*.b?x.0", "digital_*.*.[01]"]
+)
+def test_a_glob_matches_part_by_part_and_what_it_leaves_out_is_everything_below(glob: str) -> None:
+    found = io_finder(glob)
+    assert found(None, [False]) == []
+    assert [after for _, _, after in found(None, [True])] == [{"digital_out.box.0": True}]
+
+
+@pytest.mark.parametrize("glob", ["box", "digital_in.*", "digital_out.tool", "*.0", "digital_out.box.1"])
+def test_a_glob_of_something_else_finds_nothing(glob: str) -> None:
+    found = io_finder(glob)
+    assert found(None, [False]) == found(None, [True]) == []
+
+
+def test_an_input_that_nobody_can_see_for_a_while_keeps_its_last_level() -> None:
+    found = io_finder("*")
+    assert found([None]) == found([False]) == found([None]) == found(None) == found([False]) == []
+    assert found([None]) == []
+    assert [after for _, _, after in found([True])] == [{"digital_in.box.0": True}]

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import socket
 import time
 from contextlib import AsyncExitStack
+from pathlib import Path
 
 import aiohttp
 import anyio
 import pytest
 import websockets
 from websockets.asyncio.client import connect as foreign_connect
+from yarl import URL
 
-from gateway import __version__
+from gateway.api.messages import JSON_SUBPROTOCOL
 from gateway.core.bus import Bus
 from gateway.core.events import EventRing
+from gateway.server import pages
 from gateway.server.access import is_local, is_own
 from gateway.server.cell import Cell
-from gateway.server.http import ListenError, listening
+from gateway.server.http import _ROUTES, ListenError, listening
 from tests.server.kit import cell, publish, running_door, talking
 
 LOCAL = ["localhost", "LOCALHOST:8765", "127.0.0.1", "127.0.0.1:8765", "127.9.9.9:1", "[::1]", "[::1]:8765"]
@@ -64,25 +68,23 @@ def test_a_page_is_our_own_only_if_it_came_from_the_same_host_and_port() -> None
         assert not is_own(origin, "127.0.0.1:8765")
 
 
+EVERY_PATH = ["/", "/zzz", *(path.replace("{name}", "r1").replace("{topic:.+}", "r1/link") for path in _ROUTES)]
+SAFE = {
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+
+
 def door(url: str, path: str = "/healthz") -> str:
     return url.replace("ws://", "http://").replace("/ws", path)
-
-
-async def test_health_is_told() -> None:
-    bus, robots = cell()
-    async with running_door(bus, robots) as url, aiohttp.ClientSession() as session:
-        answer = await session.get(door(url))
-        assert answer.status == 200
-        assert await answer.json() == {"status": "ok", "gateway": __version__}
-        assert (await session.get(door(url, "/zzz"))).status == 404
-        assert (await session.get(door(url, "/ws"))).status == 400
 
 
 @pytest.mark.parametrize("host", [host for host in FOREIGN if host.strip() == host != ""])
 async def test_a_foreign_host_is_refused_at_every_door(host: str) -> None:
     bus, robots = cell()
     async with running_door(bus, robots) as url, aiohttp.ClientSession() as session:
-        for path in ("/healthz", "/ws", "/zzz"):
+        for path in EVERY_PATH:
             answer = await session.get(door(url, path), headers={"Host": host})
             assert answer.status in {400, 403}, path
 
@@ -94,6 +96,9 @@ async def test_a_foreign_origin_is_refused(origin: str) -> None:
         with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
             await session.ws_connect(url, headers={"Origin": origin})
         assert refused.value.status == 403
+        for path in EVERY_PATH:
+            answer = await session.get(door(url, path), headers={"Origin": origin})
+            assert (answer.status, (await answer.json())["code"]) == (403, "FORBIDDEN"), path
 
 
 async def test_our_own_page_is_let_in() -> None:
@@ -113,6 +118,105 @@ async def test_a_foreign_client_is_told_why_it_is_refused() -> None:
             await foreign_connect(url, origin=websockets.Origin("http://evil.example"), proxy=None)
         assert refused.value.response.status_code == 403
         assert b"evil.example" in (refused.value.response.body or b"")
+
+
+@pytest.mark.parametrize(
+    "path", ["/zzz", "/api/v1/zzz", "/api", "/api/v1/robots/", "/index.html/", "/%2e%2e/app.py", "/.."]
+)
+async def test_an_address_that_is_none_says_where_to_look(path: str) -> None:
+    async with running_door(*cell()) as url, aiohttp.ClientSession() as session:
+        answer = await session.get(URL(door(url, path), encoded=True))
+        body = await answer.json()
+        assert (answer.status, body["code"]) == (404, "NOT_FOUND")
+        assert "/api/v1/openapi.json" in body["message"]
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "TRACE"])
+async def test_the_doors_only_read(method: str) -> None:
+    async with running_door(*cell()) as url, aiohttp.ClientSession() as session:
+        for path in EVERY_PATH:
+            answer = await session.request(method, door(url, path), data=b"x")
+            if path == "/zzz":
+                assert answer.status == 404
+            else:
+                assert (answer.status, (await answer.json())["code"]) == (405, "METHOD_NOT_ALLOWED"), path
+                assert answer.headers["Allow"] == "GET, HEAD, OPTIONS"
+
+
+async def test_options_tell_the_methods_and_head_the_headers() -> None:
+    bus, robots = cell("r1")
+    async with running_door(bus, robots) as url, aiohttp.ClientSession() as session:
+        for path in EVERY_PATH:
+            answer = await session.options(door(url, path))
+            if path != "/zzz":
+                assert (answer.status, answer.headers["Allow"]) == (204, "GET, HEAD, OPTIONS"), path
+            assert not [name for name in answer.headers if name.startswith("Access-Control")], path
+        for path in ("/healthz", "/metrics", "/api/v1/robots", "/api/v1/topics/r1/link"):
+            head, get = await session.head(door(url, path)), await session.get(door(url, path))
+            assert (head.status, head.content_type, await head.read()) == (200, get.content_type, b""), path
+
+
+async def test_every_answer_is_safe_to_come_near_a_browser() -> None:
+    async with running_door(*cell("r1")) as url, aiohttp.ClientSession() as session:
+        for path in EVERY_PATH:
+            async with session.get(door(url, path)) as answer:
+                assert SAFE.items() <= answer.headers.items(), path
+                policy = answer.headers["Content-Security-Policy"]
+                assert "default-src 'none'" in policy, path
+                assert "frame-ancestors 'none'" in policy, path
+                assert "unsafe" not in policy, path
+
+
+async def test_the_page_is_served_with_its_types_and_only_when_it_has_changed() -> None:
+    async with running_door(*cell()) as url, aiohttp.ClientSession() as session:
+        index = await session.get(door(url, "/"))
+        assert (index.status, index.content_type) == (200, "text/html")
+        assert index.headers["Cache-Control"] == "no-cache"
+        host = URL(url).authority
+        assert f"connect-src 'self' ws://{host} wss://{host};" in index.headers["Content-Security-Policy"]
+        for name, file in pages.load().items():
+            answer = await session.get(door(url, f"/{name}"))
+            assert (answer.status, await answer.read()) == (200, file.body), name
+            assert answer.headers["Content-Type"] == file.content_type
+            for known, status in ((answer.headers["ETag"], 304), (f"W/{answer.headers['ETag']}", 304), ('"old"', 200)):
+                again = await session.get(door(url, f"/{name}"), headers={"If-None-Match": known})
+                assert again.status == status, (name, known)
+
+
+async def test_the_page_asks_nobody_else() -> None:
+    for name, file in pages.load().items():
+        if name.endswith((".html", ".css")):
+            assert not re.search(rb"(?:src|href|url\()\s*=?\s*[\"'(]?\s*(?:https?:)?//", file.body), name
+        if name.endswith(".html"):
+            assert not re.search(rb"<script(?![^>]*\ssrc=)|\son[a-z]+=|\sstyle=|<style", file.body), name
+
+
+def test_only_files_of_a_known_kind_are_of_the_page(tmp_path: Path) -> None:
+    for name in ("index.html", "a.js", ".hidden.js", "notes.md", "b.py", "deep/c.css", ".git/d.js"):
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(name, "utf-8")
+    (tmp_path / "folder.js").mkdir()
+    assert set(pages.load(tmp_path)) == {"index.html", "a.js", "deep/c.css"}
+    assert set(pages.routes(pages.load(tmp_path))) == {"/", "/index.html", "/a.js", "/deep/c.css"}
+    assert pages.load(tmp_path / "none") == {}
+
+
+def test_the_package_holds_the_page() -> None:
+    assert {"index.html"} <= set(pages.load())
+    assert (pages.FOLDER.parent / "__init__.py").exists(), "hatch puts what stands inside a package into the wheel"
+
+
+async def test_a_websocket_at_the_root_is_for_foxglove_and_another_is_told_where_to_go() -> None:
+    async with running_door(*cell()) as url, aiohttp.ClientSession() as session:
+        for path in ("/", "/foxglove"):
+            for protocol in ("foxglove.sdk.v1", "foxglove.websocket.v1"):
+                async with session.ws_connect(door(url, path), protocols=(protocol,)) as websocket:
+                    assert websocket.protocol == protocol
+                    assert "serverInfo" in (await websocket.receive()).data
+        with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
+            await session.ws_connect(door(url, "/"), protocols=(JSON_SUBPROTOCOL,))
+        assert refused.value.status == 400
 
 
 async def test_bytes_that_are_no_http_do_not_disturb_the_others() -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import tracemalloc
+from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
 
 import aiohttp
@@ -12,6 +14,7 @@ import anyio.lowlevel
 import msgspec
 import pytest
 import websockets
+from websockets.asyncio.client import ClientConnection
 from websockets.asyncio.client import connect as foreign_connect
 
 from gateway.api import messages
@@ -267,7 +270,9 @@ async def test_the_65th_subscription_is_refused_and_a_known_id_replaces() -> Non
             assert (await talk.ask("subscribe", id=number, topics=["r1/joints"]))["op"] == "result"
         assert (await talk.ask("subscribe", id=64, topics=["r1/joints"]))["code"] == "TOO_MUCH"
         assert (await talk.ask("subscribe", id=63, topics=["r2/joints"]))["topics"] == ["r2/joints"]
-        assert len(bus.topics["r1/joints"].listeners) == 63
+        made = publish(bus, "r1/joints", 1)
+        assert [sample["seq"] for sample in await talk.samples()] == [1] * 63
+        assert (len(bus.topics["r1/joints"].listeners), made.asked) == (1, 1)
 
 
 async def test_a_refused_replacement_leaves_the_old_subscription() -> None:
@@ -431,6 +436,46 @@ async def test_a_client_that_never_reads_is_sent_away_with_1013_and_costs_bounde
         await other_is_served(bus, other, seq + 1)
 
 
+async def test_a_client_that_pauses_and_reads_on_has_every_sample_in_order_and_pings_are_answered_in_between() -> None:
+    bus, robots = cell("r1")
+    async with running_door(bus, robots) as url, foreign_connect(url, proxy=None, max_queue=None) as socket:
+        await socket.recv()
+        await socket.send('{"op":"subscribe","id":1,"topics":["r1/vendor"],"mode":"all"}')
+        await socket.recv()
+        socket.transport.pause_reading()
+        for seq in range(1, 4001):
+            publish(bus, "r1/vendor", seq, {"filler": "x" * 5000})
+            if seq % 20 == 0:
+                await anyio.lowlevel.checkpoint()
+            if seq % 1000 == 0:
+                await socket.ping()
+        socket.transport.resume_reading()
+        pong = await socket.ping()
+        seqs: list[int] = []
+        with anyio.fail_after(10):
+            while len(seqs) < 4000:
+                message = msgspec.json.decode(await socket.recv(), type=messages.Response)
+                assert isinstance(message, messages.Data), message
+                seqs += [sample.seq for sample in message.samples]
+            await pong
+        assert seqs == list(range(1, 4001))
+
+
+async def test_more_events_than_can_be_queued_end_with_1013_although_nothing_is_read() -> None:
+    bus, robots = cell("r1")
+    async with running_door(bus, robots, stuck_s=60.0) as url, talking(url) as lazy:
+        await lazy.ask("subscribe", topics=["*/events"])
+        lazy.socket._conn.transport.pause_reading()  # type: ignore[union-attr]
+        topic = bus.topics["r1/events"]
+        with anyio.fail_after(10):
+            while topic.listeners:
+                for _ in range(2000):
+                    bus.raise_event(topic, T, EventKind.MODE_CHANGED, None, "x" * 1000, {})
+                await anyio.sleep(0.001)
+        lazy.socket._conn.transport.resume_reading()  # type: ignore[union-attr]
+        assert await lazy.close_code() == 1013
+
+
 async def ask_for_ever(talk: Talk, question: str) -> None:
     """Send a question until the connection ends, for 3 s at most."""
     with anyio.fail_after(3):
@@ -513,13 +558,20 @@ async def test_a_foreign_client_without_a_subprotocol_speaks_json() -> None:
         assert msgspec.json.decode(await socket.recv())["op"] == "welcome"
 
 
+async def read_to_the_end(socket: ClientConnection) -> AsyncIterator[websockets.Data]:
+    with contextlib.suppress(websockets.ConnectionClosedError):
+        async for message in socket:
+            yield message
+
+
 async def test_a_foreign_client_sees_the_close_codes() -> None:
     bus, robots = cell()
     async with running_door(bus, robots) as url:
         async with foreign_connect(url, proxy=None) as socket:
             for _ in range(33):
                 await socket.send("rubbish")
-            await socket.wait_closed()
+            answers = [answer async for answer in read_to_the_end(socket)]
+            assert all("BAD_MESSAGE" in str(answer) for answer in answers[1:])
             assert (socket.close_code, socket.close_reason) == (1008, "too many wrong messages")
         async with foreign_connect(url, proxy=None) as socket:
             await socket.close(1000)

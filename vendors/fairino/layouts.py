@@ -625,10 +625,20 @@ FIRMWARE = {
 _LONGEST_SIZE = max(FIRMWARE)
 
 # The longest frame that any SDK knows: every other legacy layout is a prefix of it.
-LONGEST = Layout(name=str(_LONGEST_SIZE), size=_LONGEST_SIZE - CHECKSUM_SIZE, fields=_FIELDS, source=SOURCE)
+LONGEST = Layout(
+    name=str(_LONGEST_SIZE),
+    size=_LONGEST_SIZE - CHECKSUM_SIZE,
+    fields=_FIELDS,
+    source=SOURCE,
+    firmware=FIRMWARE[_LONGEST_SIZE],
+)
 
 LEGACY_LAYOUTS = (
-    *(LONGEST.prefix(total - CHECKSUM_SIZE, name=str(total)) for total in FIRMWARE if total != _LONGEST_SIZE),
+    *(
+        LONGEST.prefix(total - CHECKSUM_SIZE, name=str(total), firmware=firmware)
+        for total, firmware in FIRMWARE.items()
+        if total != _LONGEST_SIZE
+    ),
     LONGEST,
 )
 

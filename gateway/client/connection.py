@@ -1,11 +1,11 @@
-"""The typed async client of the native protocol: what the CLI uses, and anyone may.
+"""One connection to a gateway: its requests, and what is pushed between them. When it ends, it ends.
 
     async with connect("ws://127.0.0.1:8765/ws") as client:
         await client.subscribe(["*/joints"], rate_hz=10)
         async for message in client.pushed():
             ...
 
-It needs nothing of the gateway's core: only its message structs.
+One task at a time may use a connection.
 """
 
 from __future__ import annotations
@@ -41,12 +41,14 @@ class ClientError(GatewayError):
     Attributes:
         url: Where it should be.
         reason: What happened and what to do.
+        lasting: Whether trying again is of no use.
     """
 
-    def __init__(self, url: str, reason: str) -> None:
+    def __init__(self, url: str, reason: str, *, lasting: bool = False) -> None:
         super().__init__(f"{url}: {reason}")
         self.url = url
         self.reason = reason
+        self.lasting = lasting
 
 
 class RequestError(GatewayError):
@@ -73,6 +75,7 @@ class Client:
         self._url = url
         self._ids = itertools.count(1)
         self._waiting: deque[Pushed] = deque()
+        self._ended: ClientError | None = None
         self.welcome: messages.Welcome
 
     async def greet(self) -> None:
@@ -118,6 +121,19 @@ class Client:
         since: messages.Since | None = None,
     ) -> list[str]:
         """Ask for topics; returns the names that match now. Their samples come from `pushed()`."""
+        asked = self.ask_for(topics, rate_hz=rate_hz, mode=mode, fields=fields, since=since)
+        return _part((await asked).topics)
+
+    async def ask_for(
+        self,
+        topics: Sequence[str],
+        *,
+        rate_hz: float | None = None,
+        mode: messages.Mode = "latest",
+        fields: Sequence[str] | None = None,
+        since: messages.Since | None = None,
+    ) -> messages.Result:
+        """Ask for topics; returns the whole answer, with the newest event of each ring."""
         request = messages.Subscribe(
             id=next(self._ids),
             topics=list(topics),
@@ -126,7 +142,7 @@ class Client:
             fields=None if fields is None else list(fields),
             since=since,
         )
-        return _part((await self._ask(request)).topics)
+        return await self._ask(request)
 
     async def pushed(self) -> AsyncIterator[Pushed]:
         """Everything that the gateway sends for the subscriptions, for ever.
@@ -135,11 +151,19 @@ class Client:
             ClientError: The connection has ended.
         """
         while True:
-            while self._waiting:
-                yield self._waiting.popleft()
+            yield await self.next_pushed()
+
+    async def next_pushed(self) -> Pushed:
+        """The next thing that the gateway sends for the subscriptions; may be cancelled without a loss.
+
+        Raises:
+            ClientError: The connection has ended.
+        """
+        while not self._waiting:
             message = await self._receive()
             if isinstance(message, Pushed):
-                yield message
+                return message
+        return self._waiting.popleft()
 
     async def _ask(self, request: messages.Request) -> messages.Result:
         """Send a request and wait for its answer; what comes in between is kept.
@@ -162,9 +186,12 @@ class Client:
                 self._waiting.append(message)
 
     async def _receive(self) -> messages.Response:
+        if self._ended is not None:  # what happened first is the reason
+            raise self._ended
         message = await self._socket.receive()
         if message.type is not aiohttp.WSMsgType.TEXT:
-            raise ClientError(self._url, f"the connection has ended{_farewell(message)}")
+            self._ended = ClientError(self._url, f"the connection has ended{_farewell(message)}")
+            raise self._ended
         try:
             return _DECODER.decode(message.data)
         except msgspec.DecodeError:
@@ -172,18 +199,19 @@ class Client:
 
 
 @asynccontextmanager
-async def connect(url: str) -> AsyncIterator[Client]:
+async def connect(url: str, *, heartbeat_s: float = _HEARTBEAT_S) -> AsyncIterator[Client]:
     """Connect to the native door of a gateway.
 
     Args:
         url: Such as `ws://127.0.0.1:8765/ws`.
+        heartbeat_s: How often the connection is tried out; one that has died is noticed within one and a half of it.
 
     Raises:
         ClientError: It cannot be reached.
     """
     async with aiohttp.ClientSession(timeout=aiohttp.ClientTimeout(total=None)) as session:
         with anyio.move_on_after(_CONNECT_S) as patience:
-            socket = await _open(session, url)
+            socket = await _open(session, url, heartbeat_s)
         if patience.cancelled_caught:
             raise ClientError(url, _SILENT)
         async with socket:
@@ -195,17 +223,18 @@ async def connect(url: str) -> AsyncIterator[Client]:
             yield client
 
 
-async def _open(session: aiohttp.ClientSession, url: str) -> aiohttp.ClientWebSocketResponse:
+async def _open(session: aiohttp.ClientSession, url: str, heartbeat_s: float) -> aiohttp.ClientWebSocketResponse:
     try:
         return await session.ws_connect(
             url,
             protocols=(messages.JSON_SUBPROTOCOL,),
             max_msg_size=0,
-            heartbeat=_HEARTBEAT_S,
+            heartbeat=heartbeat_s,
             timeout=aiohttp.ClientWSTimeout(ws_close=_CLOSE_S),
         )
     except (aiohttp.ClientError, OSError, ValueError) as error:
-        raise ClientError(url, _advice(error)) from None
+        lasting = isinstance(error, aiohttp.InvalidURL | aiohttp.NonHttpUrlClientError | ValueError)
+        raise ClientError(url, _advice(error), lasting=lasting) from None
 
 
 def _farewell(message: aiohttp.WSMessage) -> str:

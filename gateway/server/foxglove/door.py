@@ -1,0 +1,253 @@
+"""The Foxglove door itself: one reader and one writer for each client, and what its URL may ask for."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Iterable, Sequence
+from typing import Annotated, cast
+
+import anyio
+import anyio.lowlevel
+import msgspec
+import structlog
+from aiohttp import WSCloseCode, WSMessage, WSMsgType, web
+from msgspec import Meta
+
+from gateway.api.messages import MAX_MESSAGE_BYTES, MAX_RATE_HZ
+from gateway.server import native
+from gateway.server.cell import Cell
+from gateway.server.foxglove.messages import SUBPROTOCOLS, Response, encode
+from gateway.server.foxglove.outbox import Outbox
+from gateway.server.foxglove.session import Session
+from gateway.server.frames import Wire, frame
+from gateway.server.native import CELL, CLIENTS, PACE, Pace
+from gateway.server.traffic import DOORS, Traffic
+
+_LOG = structlog.get_logger()
+# A message this much over the limit is not even read: the connection ends with 1009.
+_READ_LIMIT = 16 * MAX_MESSAGE_BYTES
+# So many wrong messages in a row, and the client is sent away with 1008.
+_PATIENCE = 32
+# While so many bytes of answers are not taken, nothing more is read.
+_UNREAD_ANSWERS = 1 << 20
+_CLOSE_S = 1.0
+_HEARTBEAT_S = 30.0
+# Every so often a client is told which robots have come and gone.
+_LOOK_S = 1.0
+_STOPPING = "the gateway is stopping"
+_Glob = Annotated[str, Meta(min_length=1, max_length=256)]
+
+
+class Wish(msgspec.Struct, frozen=True):
+    """What a URL may ask for: `/foxglove?topics=*/joints,r1/tf&rate_hz=30`."""
+
+    topics: Annotated[list[_Glob], Meta(min_length=1, max_length=256)] = msgspec.field(default_factory=lambda: ["*"])
+    rate_hz: Annotated[float, Meta(gt=0, le=MAX_RATE_HZ)] | None = None
+
+
+async def websocket(request: web.Request) -> web.StreamResponse:
+    """Serve one client until it leaves or is sent away.
+
+    Raises:
+        web.HTTPBadRequest: It asks for another subprotocol, or its URL for something else.
+    """
+    wish = _wish_of(request)
+    _check_subprotocol(request)
+    socket = web.WebSocketResponse(
+        protocols=SUBPROTOCOLS,
+        max_msg_size=_READ_LIMIT,
+        compress=False,
+        heartbeat=_HEARTBEAT_S,
+        timeout=_CLOSE_S,
+    )
+    writer = await socket.prepare(request)
+    if request.transport is None:  # it has gone before its turn came
+        return socket
+    wire = Wire(socket, cast("asyncio.WriteTransport", request.transport), writer)  # uvloop's is no subclass
+    traffic = request.app[DOORS]["foxglove"]
+    client = Client(socket, wire, request.app[CELL], request.app[PACE], wish, traffic)
+    guests = request.app[CLIENTS]
+    guest = cast("native.Client", client)  # all that the listener asks of a client is that it can be sent away
+    guests.add(guest)
+    traffic.clients += 1
+    log = _LOG.bind(peer=request.remote)
+    log.debug("subscriber.connected", protocol=socket.ws_protocol)
+    try:
+        await client.serve()
+    except Exception:
+        log.exception("subscriber.failed")
+        await client.close(WSCloseCode.INTERNAL_ERROR, "internal error, see the gateway's log")
+    finally:
+        guests.discard(guest)
+        traffic.clients -= 1
+        if client.sent_away in {None, _STOPPING}:
+            log.debug("subscriber.disconnected", reason=client.sent_away or str(socket.close_code))
+        else:
+            log.info("subscriber.sent_away", reason=client.sent_away)
+    return socket
+
+
+class Client:
+    """One connected client.
+
+    Args:
+        socket: The prepared WebSocket.
+        wire: The way to it; cut off when the client does not even take a farewell.
+        cell: What it may read.
+        pace: How fast it is served.
+        wish: What its URL asks for.
+        traffic: Where it is counted what the client gets.
+
+    Attributes:
+        sent_away: Why the gateway has ended the connection; None: it has not.
+    """
+
+    def __init__(
+        self,
+        socket: web.WebSocketResponse,
+        wire: Wire,
+        cell: Cell,
+        pace: Pace,
+        wish: Wish,
+        traffic: Traffic,
+    ) -> None:
+        self._socket = socket
+        self._traffic = traffic
+        self._wire = wire
+        self._stuck_s = pace.stuck_s
+        period_s = None if wish.rate_hz is None else 1 / wish.rate_hz
+        self._outbox = Outbox(pace.flush_s, time.monotonic, period_s, traffic)
+        self._session = Session(cell, wish.topics, self._outbox)
+        self._answers: list[str] = []
+        self._n_unread = 0  # bytes of answers that the socket has not taken
+        self._taken = anyio.Event()
+        self.sent_away: str | None = None
+
+    async def serve(self) -> None:
+        """Read and write until the client leaves."""
+        try:
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(self._write)
+                await self._read()
+                tasks.cancel_scope.cancel()
+        except* ConnectionError:
+            pass  # the client is gone: nobody is left to be told
+        finally:
+            self._outbox.close()
+
+    async def close(self, code: int, reason: str) -> None:
+        """Send the client away; one that does not even take the farewell is cut off."""
+        self.sent_away = reason
+        self._outbox.close()
+        try:
+            with anyio.move_on_after(_CLOSE_S, shield=True):
+                with contextlib.suppress(ConnectionError):  # aiohttp's own drain fails after one that was cancelled
+                    await self._socket.close(code=code, message=reason.encode(), drain=False)
+                await self._wire.emptied()
+        finally:
+            self._wire.cut()
+            self._taken.set()
+
+    async def _read(self) -> None:
+        async for message in self._socket:
+            if message.type is WSMsgType.ERROR:
+                return
+            self._take(message)
+            if self._session.wrong_in_a_row > _PATIENCE:
+                await self.close(WSCloseCode.POLICY_VIOLATION, "too many wrong messages")
+                return
+            while self._n_unread > _UNREAD_ANSWERS and self.sent_away is None:
+                self._taken = anyio.Event()
+                await self._taken.wait()
+
+    def _take(self, message: WSMessage) -> None:
+        if isinstance(message.data, str):
+            answer = self._session.take(message.data.encode())
+        else:
+            answer = self._session.take_binary(bytes(message.data))
+        if answer is not None:
+            encoded = encode(answer)
+            self._answers.append(encoded)
+            self._n_unread += len(encoded)
+            self._outbox.wake_by(time.monotonic())
+
+    async def _write(self) -> None:
+        """Send everything that is due, for ever; a client that is too slow is sent away."""
+        sent = await self._tell(self._session.hello())
+        look_s = time.monotonic() + _LOOK_S
+        while sent:
+            self._outbox.wake_by(look_s)
+            await self._outbox.wait()
+            if time.monotonic() >= look_s:
+                sent = await self._tell(self._session.refresh())
+                look_s = time.monotonic() + _LOOK_S
+            sent = sent and await self._send_due()
+            if self._outbox.overflowed:
+                await self._send_away("too slow: more events than can be queued")
+                return
+            if self._outbox.has_more:
+                await anyio.lowlevel.checkpoint()  # the other clients have their turn
+        await self._send_away("too slow: nothing was read")
+
+    async def _send_away(self, reason: str) -> None:
+        self._traffic.sent_away += 1
+        await self.close(WSCloseCode.TRY_AGAIN_LATER, reason)
+
+    async def _send_due(self) -> bool:
+        """Send answers, then events and samples, in one write; whether the socket took them in time."""
+        answers, self._answers = self._answers, []
+        missed = self._outbox.word_on_missed()
+        said = [] if missed is None else [encode(missed)]
+        taken = await self._send([*answers, *self._outbox.collect(), *said])
+        self._n_unread -= sum(map(len, answers))
+        self._taken.set()
+        return taken
+
+    async def _tell(self, said: Iterable[Response]) -> bool:
+        """Send some text frames, one by one; whether the socket took them in time."""
+        for one in said:
+            if not await self._send([encode(one)]):
+                return False
+            await anyio.lowlevel.checkpoint()  # an advertisement is long: the other clients have their turn
+        return True
+
+    async def _send(self, messages: Sequence[str | bytes]) -> bool:
+        """Send text and binary frames in one write; whether the socket took them in time."""
+        if messages and not self._wire.ended:
+            made = b"".join(
+                frame(one.encode(), text=True) if isinstance(one, str) else frame(one, text=False) for one in messages
+            )
+            self._wire.write(made)
+            self._traffic.n_bytes += len(made)
+        with anyio.move_on_after(self._stuck_s) as scope:
+            await self._wire.drained()
+        return not scope.cancelled_caught
+
+
+def _check_subprotocol(request: web.Request) -> None:
+    """Refuse a client that this door cannot talk to, and say where to go."""
+    asked = [name.strip() for line in request.headers.getall("Sec-WebSocket-Protocol", []) for name in line.split(",")]
+    if not set(SUBPROTOCOLS).intersection(asked):
+        known = " or ".join(SUBPROTOCOLS)
+        raise web.HTTPBadRequest(
+            text=f"this is the Foxglove door: its WebSocket subprotocol is {known}; the gateway's own door is /ws\n"
+        )
+
+
+def _wish_of(request: web.Request) -> Wish:
+    """What a URL asks for."""
+    query = request.query
+    unknown = [name for name in query if name not in Wish.__struct_fields__]
+    if unknown:
+        allowed = ", ".join(Wish.__struct_fields__)
+        raise web.HTTPBadRequest(text=f"URL parameters: unknown: {', '.join(unknown)}; allowed are {allowed}\n")
+    twice = [name for name in query if len(query.getall(name)) > 1]
+    if twice:
+        raise web.HTTPBadRequest(text=f"URL parameters: more than once: {twice[0]}; topics stand in one, with commas\n")
+    wish = {name: value.split(",") if name == "topics" else value for name, value in query.items()}
+    try:
+        return msgspec.convert(wish, Wish, strict=False)
+    except msgspec.ValidationError as error:
+        raise web.HTTPBadRequest(text=f"URL parameters: {error}\n") from None
