@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import time
 from dataclasses import dataclass, field
@@ -87,7 +88,9 @@ async def watch(url: str) -> None:
         if sys.stdout.isatty():
             await _show(console, seen)
         else:
-            await _print(console, seen)
+            with contextlib.suppress(SystemExit):  # rich's way of saying that nobody reads the pipe any more
+                await _print(console, seen)
+        tasks.cancel_scope.cancel()
 
 
 async def _keep_up(follower: Follower, seen: Seen) -> None:

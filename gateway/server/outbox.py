@@ -238,11 +238,11 @@ class Outbox:
     def _take_backlog(self) -> None:
         """Owe the next piece of the backlogs; with the last one the client has caught up."""
         left = SAMPLES_A_TURN
-        for subscription in self.subscriptions.values():
-            taken = subscription.backlog.take(left)
-            if taken:
-                self._owed.append((subscription, Batch(subscription.wish.cut, taken)))
-                left -= len(taken)
+        waiting = [subscription for subscription in self.subscriptions.values() if len(subscription.backlog)]
+        for index, subscription in enumerate(waiting):  # each has its share: one that never ends holds up no other
+            taken = subscription.backlog.take(max(1, left // (len(waiting) - index)))
+            self._owed.append((subscription, Batch(subscription.wish.cut, taken)))
+            left -= len(taken)
         self.behind = any(len(subscription.backlog) for subscription in self.subscriptions.values())
 
     def _say_missed(self, shared: Shared, messages: list[bytes]) -> None:

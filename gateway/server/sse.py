@@ -193,7 +193,10 @@ async def stream(request: web.Request) -> web.StreamResponse:
         if request.method == hdrs.METH_HEAD:
             return web.Response(headers=_HEADERS)
         response = web.StreamResponse(headers=_HEADERS)
-        await response.prepare(request)
+        try:
+            await response.prepare(request)
+        except ConnectionError:  # it has gone again: no reason for a traceback in the log
+            return web.Response()
         open_stream = Stream(request, response, outbox, encoding)
         request.app[STREAMS].add(open_stream)
         traffic.clients += 1

@@ -143,7 +143,7 @@ export class Gateway {
         for (const event of message.events) this._takeEvent(event);
         break;
       case "missed":
-        for (const subscription of this._subscriptions.values()) subscription.options.onMissed?.(message);
+        for (const subscription of this._subscriptions.values()) call(subscription.options.onMissed, message);
         break;
       case "welcome":
         this._greet(message);
@@ -164,7 +164,10 @@ export class Gateway {
     this._clockMs = null;
     this._bestTripMs = Infinity;
     this._say("live", null);
-    for (const subscription of this._subscriptions.values()) this._subscribe(subscription);
+    for (const subscription of this._subscriptions.values()) {
+      subscription.matched = new Set(); // what another one resumes before this one's answer is not for it
+      this._subscribe(subscription);
+    }
     for (const request of this._queue.splice(0)) this._send(request);
     this._ping();
   }
@@ -177,13 +180,13 @@ export class Gateway {
       const known = subscription.rings.get(boot);
       if (known !== undefined && seq <= known) continue; // two subscriptions read the same ring from different places
       subscription.rings.set(boot, seq);
-      subscription.options.onEvent?.(event);
+      call(subscription.options.onEvent, event);
     }
   }
 
   _each(topic, handler, value) {
     for (const subscription of [...this._subscriptions.values()]) {
-      if (subscription.matched.has(topic)) subscription.options[handler]?.(value);
+      if (subscription.matched.has(topic)) call(subscription.options[handler], value);
     }
   }
 
@@ -195,10 +198,10 @@ export class Gateway {
     const resolve = (result) => {
       subscription.matched = new Set(result.topics);
       subscription._readFrom(result.last_events ?? [], resumed !== undefined);
-      subscription.options.onTopics?.(result.topics, result.last_events ?? []);
+      call(subscription.options.onTopics, result.topics, result.last_events ?? []);
     };
     const reject = (error) => {
-      if (error.code !== "LOST" && error.code !== "CLOSED") this.onerror?.(error);
+      if (error.code !== "LOST" && error.code !== "CLOSED") call(this.onerror, error);
     };
     this._send({ id, text: JSON.stringify(wish), resolve, reject });
   }
@@ -257,7 +260,7 @@ export class Gateway {
     if (this.state === state && this.reason === reason) return;
     this.state = state;
     this.reason = reason;
-    this.onstate?.(state, reason);
+    call(this.onstate, state, reason);
   }
 }
 
@@ -290,6 +293,17 @@ class Subscription {
     const last = new Map(lastEvents.map(split));
     for (const boot of this.rings.keys()) if (!last.has(boot)) this.rings.delete(boot); // of a gateway that is no more
     for (const [boot, seq] of last) if (!this.rings.has(boot)) this.rings.set(boot, resumed ? 0 : seq);
+  }
+}
+
+/** Call a handler of the user; what it throws is told by the page's own means, and costs no other message. */
+function call(handler, ...args) {
+  try {
+    handler?.(...args);
+  } catch (error) {
+    queueMicrotask(() => {
+      throw error;
+    });
   }
 }
 

@@ -62,7 +62,10 @@ async def websocket(request: web.Request) -> web.StreamResponse:
         heartbeat=_HEARTBEAT_S,
         timeout=_CLOSE_S,
     )
-    writer = await socket.prepare(request)
+    try:
+        writer = await socket.prepare(request)
+    except ConnectionError:  # it has gone again: no reason for a traceback in the log
+        return web.Response()
     if request.transport is None:  # it has gone before its turn came
         return socket
     wire = Wire(socket, cast("asyncio.WriteTransport", request.transport), writer)  # uvloop's is no subclass
