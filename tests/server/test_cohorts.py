@@ -443,3 +443,21 @@ def test_readings_of_a_batch_are_what_the_cut_says() -> None:
     batch = Batch(Cut(JSON, (("position",),)), [(topic, made)])
     assert batch.parts is batch.parts
     assert b'"data":{"position":[3.0,null]}' in batch.parts[0]
+
+
+def test_a_backlog_that_never_ends_holds_up_no_other_subscription() -> None:
+    bus, _ = cell("r1", "r2")
+    now = Now()
+    one = Outbox(JSON, FLUSH_S, now)
+    for name, topic, every in ((1, "r1/joints", True), (2, "r2/joints", False)):
+        one.add(name, Subscription(Wish(period_s=None, every=every, cut=Cut(JSON, None)), bus.match([topic]), one))
+    one.fall_behind()
+    told: list[int] = []
+    for turn in range(20):
+        for seq in range(250):  # more than leaves in a turn
+            publish(bus, "r1/joints", 250 * turn + seq)
+        if turn == 10:
+            publish(bus, "r2/joints", 7)
+        now.at_s += 0.1
+        told += [turn for message in one.collect() if b'"r2/joints"' in message]
+    assert 10 in told
