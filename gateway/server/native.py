@@ -2,37 +2,23 @@
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import cast
 
 import anyio
-import anyio.lowlevel
 import msgspec
-import structlog
 from aiohttp import WSCloseCode, WSMessage, WSMsgType, web
 
 from gateway.api import messages
 from gateway.server.cell import Cell
 from gateway.server.cohort import Shared
 from gateway.server.frames import Wire, frame
+from gateway.server.guest import STOPPING, Guest, hosted, opened
 from gateway.server.outbox import Outbox
 from gateway.server.requests import BadRequest, Requests, decode, id_of
 from gateway.server.turns import Turns
 from gateway.server.wire import ENCODINGS, JSON, Encoding, encode_response
 
-_LOG = structlog.get_logger()
-# A message this much over the limit is not even read: the connection ends with 1009.
-_READ_LIMIT = 16 * messages.MAX_MESSAGE_BYTES
-# So many wrong messages in a row, and the client is sent away with 1008.
-_PATIENCE = 32
-# While so many bytes of answers are not taken, no further request is read.
-_UNREAD_ANSWERS = 1 << 20
-_CLOSE_S = 1.0
-_HEARTBEAT_S = 30.0
-_STOPPING = "the gateway is stopping"
 _URL_PARAMETERS = ("topics", "rate_hz", "mode", "fields", "since")
 
 
@@ -49,7 +35,7 @@ class Pace:
     stuck_s: float
 
 
-class Clients(set["Client"]):
+class Clients(set[Guest]):
     """The clients that are here now.
 
     Attributes:
@@ -68,7 +54,7 @@ class Clients(set["Client"]):
         """Tell every client that the gateway is going; one that does not listen holds nobody up."""
         async with anyio.create_task_group() as tasks:
             for client in self:
-                tasks.start_soon(client.close, WSCloseCode.GOING_AWAY, _STOPPING)
+                tasks.start_soon(client.close, WSCloseCode.GOING_AWAY, STOPPING)
 
 
 CELL = web.AppKey("cell", Cell)
@@ -78,42 +64,19 @@ CLIENTS = web.AppKey("clients", Clients)
 
 async def websocket(request: web.Request) -> web.StreamResponse:
     """Serve one client until it leaves or is sent away."""
-    socket = web.WebSocketResponse(
-        protocols=tuple(ENCODINGS),
-        max_msg_size=_READ_LIMIT,
-        compress=False,
-        heartbeat=_HEARTBEAT_S,
-        timeout=_CLOSE_S,
-    )
     asked = _url_subscription(request)
-    try:
-        writer = await socket.prepare(request)
-    except ConnectionError:  # it has gone again: no reason for a traceback in the log
-        return web.Response()
-    if request.transport is None:
+    socket, wire = await opened(request, tuple(ENCODINGS))
+    if wire is None:
         return socket
     clients, pace = request.app[CLIENTS], request.app[PACE]
-    wire = Wire(socket, cast("asyncio.WriteTransport", request.transport), writer)  # uvloop's is no subclass
     client = Client(socket, wire, request.app[CELL], clients.turns_of(pace), pace.stuck_s)
-    clients.add(client)
-    log = _LOG.bind(peer=request.remote)
-    log.debug("subscriber.connected")
-    try:
+    async with hosted(request, clients, client):
         await client.serve(asked)
-    except Exception:
-        log.exception("subscriber.failed")
-        await client.close(WSCloseCode.INTERNAL_ERROR, "internal error, see the gateway's log")
-    finally:
-        clients.discard(client)
-        if client.sent_away in {None, _STOPPING}:
-            log.debug("subscriber.disconnected", reason=client.sent_away or str(socket.close_code))
-        else:
-            log.info("subscriber.sent_away", reason=client.sent_away)
     return socket
 
 
-class Client:
-    """One connected client.
+class Client(Guest):
+    """One client of the native protocol.
 
     Args:
         socket: The prepared WebSocket.
@@ -121,28 +84,26 @@ class Client:
         cell: What it may read.
         turns: When it is written to.
         stuck_s: When its socket takes nothing for so long it is sent away.
-
-    Attributes:
-        sent_away: Why the gateway has ended the connection; None: it has not.
     """
 
     def __init__(self, socket: web.WebSocketResponse, wire: Wire, cell: Cell, turns: Turns, stuck_s: float) -> None:
-        self._socket = socket
-        self._wire = wire
         self._turns = turns
         self._stuck_s = stuck_s
         self._encoding: Encoding = ENCODINGS.get(socket.ws_protocol or "", JSON)
         self._outbox = Outbox(self._encoding, turns.cohorts.flush_s, turns.cohorts.now, turns.cohorts, self._on_turn)
+        super().__init__(socket, wire, self._outbox)
         self._requests = Requests(cell, self._encoding, self._outbox)
         self._answers: list[bytes] = []  # those that the socket does not take
-        self._n_unread = 0  # their bytes
-        self._taken = anyio.Event()
         self._wrong_in_a_row = 0
         self._clogged = False
         self._trouble = anyio.Event()
         self._failure: Exception | None = None
         self._waiting = anyio.CancelScope()
-        self.sent_away: str | None = None
+
+    @property
+    def wrong_in_a_row(self) -> int:
+        """How many of its last messages were wrong."""
+        return self._wrong_in_a_row
 
     async def serve(self, first: messages.Subscribe | None) -> None:
         """Read until the client leaves; it is written to when its turn comes."""
@@ -152,38 +113,22 @@ class Client:
                 await self._answer(first)
             async with anyio.create_task_group() as tasks:
                 tasks.start_soon(self._look_after)
-                await self._read()
+                await self.read()
                 tasks.cancel_scope.cancel()
         except* ConnectionError:
             pass  # the client is gone: nobody is left to be told
         finally:
             self._outbox.close()
 
-    async def close(self, code: int, reason: str) -> None:
-        """Send the client away; one that does not even take the farewell is cut off."""
-        self.sent_away = reason
-        self._outbox.close()
+    async def take(self, message: WSMessage) -> None:
+        """Answer one message; whatever it is, nothing but an answer can follow."""
+        data = message.data.encode() if isinstance(message.data, str) else bytes(message.data)
         try:
-            with anyio.move_on_after(_CLOSE_S, shield=True):
-                with contextlib.suppress(ConnectionError):  # aiohttp's own drain fails after one that was cancelled
-                    await self._socket.close(code=code, message=reason.encode(), drain=False)
-                await self._wire.emptied()
-        finally:
-            self._wire.cut()
-            self._taken.set()
-
-    async def _read(self) -> None:
-        async for message in self._socket:
-            if message.type is WSMsgType.ERROR:
-                return
-            await self._take(message)
-            if self._wrong_in_a_row > _PATIENCE:
-                await self.close(WSCloseCode.POLICY_VIOLATION, "too many wrong messages")
-                return
-            while self._n_unread > _UNREAD_ANSWERS and self.sent_away is None:
-                self._taken = anyio.Event()
-                await self._taken.wait()
-            await anyio.lowlevel.checkpoint()  # many requests at once do not hold up the other clients
+            request = self._decoded(message.type, data)
+        except BadRequest as error:
+            self._refuse(id_of(self._encoding, data), error)
+        else:
+            await self._answer(request)
 
     def _on_turn(self, shared: Shared) -> None:
         """Write what is due. A mistake in it is this client's alone."""
@@ -229,16 +174,6 @@ class Client:
                 return
             self._clogged = False
             self._turns.cohorts.ask(self._outbox)
-
-    async def _take(self, message: WSMessage) -> None:
-        """Answer one message; whatever it is, nothing but an answer can follow."""
-        data = message.data.encode() if isinstance(message.data, str) else bytes(message.data)
-        try:
-            request = self._decoded(message.type, data)
-        except BadRequest as error:
-            self._refuse(id_of(self._encoding, data), error)
-        else:
-            await self._answer(request)
 
     def _decoded(self, kind: WSMsgType, data: bytes) -> messages.Request:
         expected = WSMsgType.TEXT if self._encoding.text else WSMsgType.BINARY

@@ -2,41 +2,28 @@
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
 import time
 from collections.abc import Iterable, Sequence
-from typing import Annotated, cast
+from typing import Annotated
 
 import anyio
 import anyio.lowlevel
 import msgspec
-import structlog
-from aiohttp import WSCloseCode, WSMessage, WSMsgType, web
+from aiohttp import WSCloseCode, WSMessage, web
 from msgspec import Meta
 
-from gateway.api.messages import MAX_MESSAGE_BYTES, MAX_RATE_HZ
-from gateway.server import native
+from gateway.api.messages import MAX_RATE_HZ
 from gateway.server.cell import Cell
 from gateway.server.foxglove.messages import SUBPROTOCOLS, Response, encode
 from gateway.server.foxglove.outbox import Outbox
 from gateway.server.foxglove.session import Session
 from gateway.server.frames import Wire, frame
+from gateway.server.guest import Guest, hosted, opened
 from gateway.server.native import CELL, CLIENTS, PACE, Pace
 from gateway.server.traffic import DOORS, Traffic
 
-_LOG = structlog.get_logger()
-# A message this much over the limit is not even read: the connection ends with 1009.
-_READ_LIMIT = 16 * MAX_MESSAGE_BYTES
-# So many wrong messages in a row, and the client is sent away with 1008.
-_PATIENCE = 32
-# While so many bytes of answers are not taken, nothing more is read.
-_UNREAD_ANSWERS = 1 << 20
-_CLOSE_S = 1.0
-_HEARTBEAT_S = 30.0
 # Every so often a client is told which robots have come and gone.
 _LOOK_S = 1.0
-_STOPPING = "the gateway is stopping"
 _Glob = Annotated[str, Meta(min_length=1, max_length=256)]
 
 
@@ -55,45 +42,22 @@ async def websocket(request: web.Request) -> web.StreamResponse:
     """
     wish = _wish_of(request)
     _check_subprotocol(request)
-    socket = web.WebSocketResponse(
-        protocols=SUBPROTOCOLS,
-        max_msg_size=_READ_LIMIT,
-        compress=False,
-        heartbeat=_HEARTBEAT_S,
-        timeout=_CLOSE_S,
-    )
-    try:
-        writer = await socket.prepare(request)
-    except ConnectionError:  # it has gone again: no reason for a traceback in the log
-        return web.Response()
-    if request.transport is None:  # it has gone before its turn came
+    socket, wire = await opened(request, SUBPROTOCOLS)
+    if wire is None:
         return socket
-    wire = Wire(socket, cast("asyncio.WriteTransport", request.transport), writer)  # uvloop's is no subclass
-    traffic = request.app[DOORS]["foxglove"]
+    clients, traffic = request.app[CLIENTS], request.app[DOORS]["foxglove"]
     client = Client(socket, wire, request.app[CELL], request.app[PACE], wish, traffic)
-    guests = request.app[CLIENTS]
-    guest = cast("native.Client", client)  # all that the listener asks of a client is that it can be sent away
-    guests.add(guest)
     traffic.clients += 1
-    log = _LOG.bind(peer=request.remote)
-    log.debug("subscriber.connected", protocol=socket.ws_protocol)
     try:
-        await client.serve()
-    except Exception:
-        log.exception("subscriber.failed")
-        await client.close(WSCloseCode.INTERNAL_ERROR, "internal error, see the gateway's log")
+        async with hosted(request, clients, client):
+            await client.serve()
     finally:
-        guests.discard(guest)
         traffic.clients -= 1
-        if client.sent_away in {None, _STOPPING}:
-            log.debug("subscriber.disconnected", reason=client.sent_away or str(socket.close_code))
-        else:
-            log.info("subscriber.sent_away", reason=client.sent_away)
     return socket
 
 
-class Client:
-    """One connected client.
+class Client(Guest):
+    """One client of Foxglove's protocol.
 
     Args:
         socket: The prepared WebSocket.
@@ -102,9 +66,6 @@ class Client:
         pace: How fast it is served.
         wish: What its URL asks for.
         traffic: Where it is counted what the client gets.
-
-    Attributes:
-        sent_away: Why the gateway has ended the connection; None: it has not.
     """
 
     def __init__(
@@ -116,56 +77,33 @@ class Client:
         wish: Wish,
         traffic: Traffic,
     ) -> None:
-        self._socket = socket
         self._traffic = traffic
-        self._wire = wire
         self._stuck_s = pace.stuck_s
         period_s = None if wish.rate_hz is None else 1 / wish.rate_hz
         self._outbox = Outbox(pace.flush_s, time.monotonic, period_s, traffic)
+        super().__init__(socket, wire, self._outbox)
         self._session = Session(cell, wish.topics, self._outbox)
         self._answers: list[str] = []
-        self._n_unread = 0  # bytes of answers that the socket has not taken
-        self._taken = anyio.Event()
-        self.sent_away: str | None = None
+
+    @property
+    def wrong_in_a_row(self) -> int:
+        """How many of its last messages were wrong."""
+        return self._session.wrong_in_a_row
 
     async def serve(self) -> None:
         """Read and write until the client leaves."""
         try:
             async with anyio.create_task_group() as tasks:
                 tasks.start_soon(self._write)
-                await self._read()
+                await self.read()
                 tasks.cancel_scope.cancel()
         except* ConnectionError:
             pass  # the client is gone: nobody is left to be told
         finally:
             self._outbox.close()
 
-    async def close(self, code: int, reason: str) -> None:
-        """Send the client away; one that does not even take the farewell is cut off."""
-        self.sent_away = reason
-        self._outbox.close()
-        try:
-            with anyio.move_on_after(_CLOSE_S, shield=True):
-                with contextlib.suppress(ConnectionError):  # aiohttp's own drain fails after one that was cancelled
-                    await self._socket.close(code=code, message=reason.encode(), drain=False)
-                await self._wire.emptied()
-        finally:
-            self._wire.cut()
-            self._taken.set()
-
-    async def _read(self) -> None:
-        async for message in self._socket:
-            if message.type is WSMsgType.ERROR:
-                return
-            self._take(message)
-            if self._session.wrong_in_a_row > _PATIENCE:
-                await self.close(WSCloseCode.POLICY_VIOLATION, "too many wrong messages")
-                return
-            while self._n_unread > _UNREAD_ANSWERS and self.sent_away is None:
-                self._taken = anyio.Event()
-                await self._taken.wait()
-
-    def _take(self, message: WSMessage) -> None:
+    async def take(self, message: WSMessage) -> None:
+        """Answer one message; whatever it is, nothing but an answer can follow."""
         if isinstance(message.data, str):
             answer = self._session.take(message.data.encode())
         else:

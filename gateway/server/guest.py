@@ -1,0 +1,135 @@
+"""One client of a WebSocket door, whatever it speaks there: how it comes, is read, and leaves."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from abc import ABC, abstractmethod
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+from typing import Protocol, cast
+
+import anyio
+import anyio.lowlevel
+import structlog
+from aiohttp import WSCloseCode, WSMessage, WSMsgType, web
+
+from gateway.api.messages import MAX_MESSAGE_BYTES
+from gateway.server.frames import Wire
+
+_LOG = structlog.get_logger()
+# A message this much over the limit is not even read: the connection ends with 1009.
+_READ_LIMIT = 16 * MAX_MESSAGE_BYTES
+# So many wrong messages in a row, and the client is sent away with 1008.
+_PATIENCE = 32
+# While so many bytes of answers are not taken, no further request is read.
+_UNREAD_ANSWERS = 1 << 20
+_CLOSE_S = 1.0
+_HEARTBEAT_S = 30.0
+STOPPING = "the gateway is stopping"
+
+
+class Owed(Protocol):
+    """What a client is owed."""
+
+    def close(self) -> None:
+        """End everything that it listens to."""
+        ...
+
+
+class Guest(ABC):
+    """One connected client; what it says and is told is its door's part.
+
+    Args:
+        socket: The prepared WebSocket.
+        wire: The way to it; cut off when the client does not even take a farewell.
+        owed: What it is owed.
+
+    Attributes:
+        sent_away: Why the gateway has ended the connection; None: it has not.
+    """
+
+    def __init__(self, socket: web.WebSocketResponse, wire: Wire, owed: Owed) -> None:
+        self._socket = socket
+        self._wire = wire
+        self._owed = owed
+        self._n_unread = 0  # bytes of answers that the socket has not taken
+        self._taken = anyio.Event()
+        self.sent_away: str | None = None
+
+    @property
+    def close_code(self) -> int | None:
+        """How the connection has ended."""
+        return self._socket.close_code
+
+    @property
+    @abstractmethod
+    def wrong_in_a_row(self) -> int:
+        """How many of its last messages were wrong."""
+
+    @abstractmethod
+    async def take(self, message: WSMessage) -> None:
+        """Answer one message; whatever it is, nothing but an answer can follow."""
+
+    async def close(self, code: int, reason: str) -> None:
+        """Send the client away; one that does not even take the farewell is cut off."""
+        self.sent_away = reason
+        self._owed.close()
+        try:
+            with anyio.move_on_after(_CLOSE_S, shield=True):
+                with contextlib.suppress(ConnectionError):  # aiohttp's own drain fails after one that was cancelled
+                    await self._socket.close(code=code, message=reason.encode(), drain=False)
+                await self._wire.emptied()
+        finally:
+            self._wire.cut()
+            self._taken.set()
+
+    async def read(self) -> None:
+        """Take messages until the client leaves, or has to."""
+        async for message in self._socket:
+            if message.type is WSMsgType.ERROR:
+                return
+            await self.take(message)
+            if self.wrong_in_a_row > _PATIENCE:
+                await self.close(WSCloseCode.POLICY_VIOLATION, "too many wrong messages")
+                return
+            while self._n_unread > _UNREAD_ANSWERS and self.sent_away is None:
+                self._taken = anyio.Event()
+                await self._taken.wait()
+            await anyio.lowlevel.checkpoint()  # many requests at once do not hold up the other clients
+
+
+async def opened(request: web.Request, subprotocols: Sequence[str]) -> tuple[web.WebSocketResponse, Wire | None]:
+    """Shake hands with a client; there is no way to one that has gone before its turn came."""
+    socket = web.WebSocketResponse(
+        protocols=subprotocols,
+        max_msg_size=_READ_LIMIT,
+        compress=False,
+        heartbeat=_HEARTBEAT_S,
+        timeout=_CLOSE_S,
+    )
+    with contextlib.suppress(ConnectionError):  # it has gone again: no reason for a traceback in the log
+        writer = await socket.prepare(request)
+        if request.transport is not None:
+            transport = cast("asyncio.WriteTransport", request.transport)  # uvloop's is no subclass
+            return socket, Wire(socket, transport, writer)
+    return socket, None
+
+
+@asynccontextmanager
+async def hosted(request: web.Request, guests: set[Guest], guest: Guest) -> AsyncIterator[None]:
+    """Have a client among the guests while it is served; a mistake of ours is logged, and sends it away."""
+    guests.add(guest)
+    log = _LOG.bind(peer=request.remote)
+    log.debug("subscriber.connected")
+    try:
+        yield
+    except Exception:
+        log.exception("subscriber.failed")
+        await guest.close(WSCloseCode.INTERNAL_ERROR, "internal error, see the gateway's log")
+    finally:
+        guests.discard(guest)
+        if guest.sent_away in {None, STOPPING}:
+            log.debug("subscriber.disconnected", reason=guest.sent_away or str(guest.close_code))
+        else:
+            log.info("subscriber.sent_away", reason=guest.sent_away)
