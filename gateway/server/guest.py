@@ -99,8 +99,10 @@ class Guest(ABC):
             await anyio.lowlevel.checkpoint()  # many requests at once do not hold up the other clients
 
 
-async def opened(request: web.Request, subprotocols: Sequence[str]) -> tuple[web.WebSocketResponse, Wire | None]:
-    """Shake hands with a client; there is no way to one that has gone before its turn came."""
+async def opened(
+    request: web.Request, subprotocols: Sequence[str]
+) -> tuple[web.WebSocketResponse, Wire] | tuple[web.StreamResponse, None]:
+    """Shake hands with a client; one that has gone before its turn came gets an answer, but there is no way to it."""
     socket = web.WebSocketResponse(
         protocols=subprotocols,
         max_msg_size=_READ_LIMIT,
@@ -108,12 +110,13 @@ async def opened(request: web.Request, subprotocols: Sequence[str]) -> tuple[web
         heartbeat=_HEARTBEAT_S,
         timeout=_CLOSE_S,
     )
-    with contextlib.suppress(ConnectionError):  # it has gone again: no reason for a traceback in the log
+    try:
         writer = await socket.prepare(request)
-        if request.transport is not None:
-            transport = cast("asyncio.WriteTransport", request.transport)  # uvloop's is no subclass
-            return socket, Wire(socket, transport, writer)
-    return socket, None
+    except ConnectionError:  # it has gone again: no reason for a traceback in the log
+        return web.Response(), None
+    if request.transport is None:
+        return socket, None
+    return socket, Wire(socket, cast("asyncio.WriteTransport", request.transport), writer)  # uvloop's is no subclass
 
 
 @asynccontextmanager

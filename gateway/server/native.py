@@ -65,9 +65,10 @@ CLIENTS = web.AppKey("clients", Clients)
 async def websocket(request: web.Request) -> web.StreamResponse:
     """Serve one client until it leaves or is sent away."""
     asked = _url_subscription(request)
-    socket, wire = await opened(request, tuple(ENCODINGS))
-    if wire is None:
-        return socket
+    opening = await opened(request, tuple(ENCODINGS))
+    if opening[1] is None:
+        return opening[0]
+    socket, wire = opening
     clients, pace = request.app[CLIENTS], request.app[PACE]
     client = Client(socket, wire, request.app[CELL], clients.turns_of(pace), pace.stuck_s)
     async with hosted(request, clients, client):

@@ -42,9 +42,10 @@ async def websocket(request: web.Request) -> web.StreamResponse:
     """
     wish = _wish_of(request)
     _check_subprotocol(request)
-    socket, wire = await opened(request, SUBPROTOCOLS)
-    if wire is None:
-        return socket
+    opening = await opened(request, SUBPROTOCOLS)
+    if opening[1] is None:
+        return opening[0]
+    socket, wire = opening
     clients, traffic = request.app[CLIENTS], request.app[DOORS]["foxglove"]
     client = Client(socket, wire, request.app[CELL], request.app[PACE], wish, traffic)
     traffic.clients += 1
