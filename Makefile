@@ -5,8 +5,11 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 SECONDS_OF_SOAK ?= 60
+SECONDS ?= 60
+TARGETS ?=
+DOCKER ?= docker
 
-.PHONY: help demo test check lint bench soak generated screenshots clean
+.PHONY: help demo test check lint bench soak generated screenshots image deb fuzz clean
 
 help: ## Show the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*##/\t/' | expand -t 10
@@ -38,11 +41,23 @@ bench: $(STAMP) ## Measure; every figure with its ratio to a baseline of the sam
 soak: $(STAMP) ## The acceptance runs at their full length
 	SOAK_SECONDS=$(SECONDS_OF_SOAK) $(BIN)/pytest -m soak -s
 
+fuzz: $(STAMP) ## Fuzz each target for SECONDS, or only TARGETS="config foxglove": needs Python 3.11
+	@$(BIN)/python -c 'import atheris' 2>/dev/null || $(BIN)/pip install --quiet --disable-pip-version-check --constraint packaging/constraints.txt --editable '.[fuzz]'
+	@$(BIN)/python -m tests.fuzz --seconds $(SECONDS) $(TARGETS)
+
 generated: $(STAMP) ## Write the generated files in config/ and docs/ anew
 	$(BIN)/python -m tests.generated
 
 screenshots: $(STAMP) ## Make the pictures of the dashboard in docs/images; needs Debian's chromium
 	$(BIN)/python -m tests.screenshots
+
+image: ## Build the container image robot-gateway:VERSION; DOCKER=podman builds it without Docker
+	version=$$(sed -n 's/^version = "\(.*\)"$$/\1/p' pyproject.toml) && BUILDAH_FORMAT=docker $(DOCKER) build \
+		--build-arg VERSION="$$version" --build-arg REVISION="$$(git rev-parse HEAD 2>/dev/null || echo unknown)" \
+		--tag robot-gateway:"$$version" --tag robot-gateway:latest .
+
+deb: $(STAMP) ## Build the Debian package dist/robot-gateway_VERSION_ARCH.deb
+	@$(BIN)/python packaging/deb/build.py
 
 clean: ## Remove everything that was made
 	rm -rf $(VENV) dist build .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .coverage

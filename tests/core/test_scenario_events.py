@@ -66,7 +66,8 @@ _READ: dict[tuple[str, str], dict[str, object]] = {
 _ALL = {
     kind.value
     for kind in EventKind
-    if not kind.value.startswith("command.") and kind not in {EventKind.LINK_LOST, EventKind.LINK_INCOMPATIBLE}
+    if not kind.value.startswith(("command.", "robot."))
+    and kind not in {EventKind.LINK_LOST, EventKind.LINK_INCOMPATIBLE}
 }
 _NO_PAUSE = "the controller's word for a program that pauses is the one for a program that stands"
 # protocol -> the kinds that it cannot bring, each with the reason
