@@ -25,7 +25,7 @@ _EVERYTHING = Scenario(
     "everything",
     "all that a robot of the demo goes through",
     (
-        _phase("idle", seconds=1.0),
+        _phase("idle", seconds=3.0),
         _phase("program runs", rate=1.0, program=ProgramState.RUNNING),
         _phase("program pauses", program=ProgramState.PAUSED),
         _phase("program runs", rate=1.0, program=ProgramState.RUNNING),

@@ -19,7 +19,7 @@ from tests.faults.robots import configured, serving
 
 _LIBRARIES = sorted(Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1"))
 # libfaketime looks at its file once a second, the links at their clock as often.
-_FOLLOW_S = 4.0
+_FOLLOW_S = 10.0
 _NEAR_US = 2_000_000
 _HOUR_S = 3600
 
@@ -111,5 +111,8 @@ async def back(stage: ClockStage, random: Random) -> Seen:
 CLOCK = Series(
     name="clock",
     open=clock,
-    faults=(Fault(name="clock set forward by hours", strike=forward), Fault(name="clock set back by hours", strike=back)),
+    faults=(
+        Fault(name="clock set forward by hours", strike=forward),
+        Fault(name="clock set back by hours", strike=back),
+    ),
 )
