@@ -179,6 +179,8 @@ class Link:
         self._decoder = None
         if self._new_decoder is None:  # not before: a plugin that fails here costs its own link, not the start of all
             self._new_decoder = robot.protocol.decoders(robot.options, robot.rate_hz)
+        # Before the controller is called: connecting and closing again, for a plugin that fails here, may stop a robot.
+        decoder = AllowedDecoder(self._new_decoder(), robot.vendor.name, robot.protocol.outgoing)
         connection = await self._connector.connect()
         self._in_session = True
         try:
@@ -186,7 +188,6 @@ class Link:
             self._enter(LinkState.HANDSHAKING, "connected, waiting for the first frame", layout=None, notes=[])
             self._counters.begin()
             self._first_frame = True
-            decoder = AllowedDecoder(self._new_decoder(), robot.vendor.name, robot.protocol.outgoing)
             self._kept = KeptDecoder(decoder) if robot.protocol.on_stale == "keep" else None
             self._decoder = self._kept or decoder
             session = Session(

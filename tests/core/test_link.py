@@ -10,8 +10,8 @@ import msgspec
 import pytest
 from structlog.testing import capture_logs
 
+from gateway.api.decoder import Decoder, Refused
 from gateway.api.decoder import Event as Decoded
-from gateway.api.decoder import Refused
 from gateway.api.framing import FramedDecoder
 from gateway.api.model import Command, Event, Joints, LinkStats, Sample, Status
 from gateway.api.model import Link as LinkData
@@ -249,13 +249,24 @@ def test_a_clock_set_back_by_hours_begins_a_new_epoch_without_a_new_connection()
     while_running(FakeConnector(FakeConnection(good)), look)
 
 
-def test_a_plugin_that_cannot_make_its_decoders_faults_its_link_and_opens_no_connection() -> None:
-    def fail(_: msgspec.Struct, __: float) -> DecoderFactory:
+def _cannot_begin(_: msgspec.Struct, __: float) -> DecoderFactory:
+    raise ZeroDivisionError("a plugin's mistake")
+
+
+def _cannot_begin_a_session(_: msgspec.Struct, __: float) -> DecoderFactory:
+    def fail() -> Decoder:
         raise ZeroDivisionError("a plugin's mistake")
 
+    return fail
+
+
+@pytest.mark.parametrize("make", [_cannot_begin, _cannot_begin_a_session])
+def test_a_plugin_that_cannot_make_its_decoders_faults_its_link_and_opens_no_connection(
+    make: Callable[[msgspec.Struct, float], DecoderFactory],
+) -> None:
     connector = FakeConnector(FakeConnection())
     settings = toy.settings()
-    broken = dataclasses.replace(settings, protocol=dataclasses.replace(settings.protocol, make_decoders=fail))
+    broken = dataclasses.replace(settings, protocol=dataclasses.replace(settings.protocol, make_decoders=make))
 
     async def look(bus: Bus, _: Inbox, __: LoopClock) -> None:
         with capture_logs() as logs:
