@@ -17,7 +17,7 @@ import structlog
 from aiohttp import hdrs, web
 
 from gateway.api.messages import Missed, Request, Subscribe
-from gateway.server.access import ACCESS, REVOKED, announced, caller_of, cell_of
+from gateway.server.access import ACCESS, REVOKED, announced, caller_of, cell_of, parted
 from gateway.server.answers import converted, parameters, splitted
 from gateway.server.bookmark import Bookmark
 from gateway.server.limits import PEERS, Quota
@@ -247,13 +247,13 @@ async def _serve(open_stream: Stream, request: web.Request) -> None:
     try:
         await open_stream.serve()
     except ConnectionError:
-        log.debug("subscriber.disconnected")
+        parted(request, log)
         return
     except Exception:
         log.exception("subscriber.failed")
         raise
     if open_stream.ended == _STOPPING:
-        log.debug("subscriber.disconnected", reason=open_stream.ended)
+        parted(request, log, open_stream.ended)
     else:
         log.info("subscriber.sent_away", reason=open_stream.ended)
 
