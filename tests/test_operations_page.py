@@ -16,7 +16,7 @@ import pytest
 from gateway.core.registry import Registry
 from gateway.server.cell import Cell
 from gateway.server.health import Pulse
-from gateway.server.metrics import registry_of
+from gateway.server.metrics import Scrapes
 from gateway.server.traffic import Traffic
 from tests.server.kit import cell
 
@@ -85,7 +85,7 @@ def test_the_collector_sees_a_log_behind_every_name_that_the_house_uses() -> Non
 def test_every_metric_stands_on_the_page_and_no_other() -> None:
     bus, robots = cell("r1")
     doors = {door: Traffic() for door in ("native", "foxglove", "sse")}
-    families = registry_of(Cell(robots, bus), lambda: doors, Pulse()).collect()
+    families = Scrapes(delivered=lambda: doors, pulse=Pulse(), refused={}).registry(Cell(robots, bus)).collect()
     metrics = {f"{family.name}_total" if family.type == "counter" else family.name for family in families}
     assert set(re.findall(r"robot_gateway_[a-z_]+", PAGE)) == metrics
 

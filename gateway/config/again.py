@@ -33,7 +33,7 @@ def load_again(running: Config, env: Mapping[str, str] = os.environ) -> Config:
 
 
 def _copies(config: Config, env: Mapping[str, str]) -> Iterator[str]:
-    """Say which secrets are what the service manager has copied when it started the gateway: a reload reads no other."""
+    """Say which secrets are copies that the service manager made at the start: a reload reads no others."""
     server, folder = config.server, Path(config.file).absolute().parent
     for key, named in (("tokens", server.tokens), ("tls", None if server.tls is None else server.tls.certificate)):
         path = folder / Path(named).expanduser() if named is not None else None
@@ -46,6 +46,8 @@ def _copies(config: Config, env: Mapping[str, str]) -> Iterator[str]:
 
 def _loaded(running: Config, env: Mapping[str, str]) -> Config:
     file = Path(running.file)
+    if _is_blank(file):
+        raise ConfigError(f"{file}: is empty: perhaps it was being written; without robots it needs at least [server]")
     dirs = _vendor_dirs(file)
     if dirs is None or dirs == running.vendor_dirs:
         return load(file, running.registry, env)
@@ -63,6 +65,14 @@ def _loaded(running: Config, env: Mapping[str, str]) -> Config:
     if moved:
         raise ConfigError(*moved)
     return load(file, registry, env)
+
+
+def _is_blank(file: Path) -> bool:
+    """Whether nothing stands in a file: one that is being written must not take every robot away."""
+    try:
+        return not file.read_bytes().strip()
+    except OSError:
+        return False  # `load` says it
 
 
 def _vendor_dirs(file: Path) -> tuple[Path, ...] | None:

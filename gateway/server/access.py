@@ -214,7 +214,9 @@ async def allow_foreign(request: web.Request, response: web.StreamResponse) -> N
 
 
 def _check_host(request: web.Request, access: Access) -> None:
-    host = request.headers.get(hdrs.HOST, "")
+    host = request.headers.get(hdrs.HOST)
+    if host is None:  # HTTP/1.0, as health checks of proxies speak it: every browser names a host
+        return
     if not access.knows_host(host):
         what = f"Host {host[:_SHOWN]!r} is not known here"
         request.app[REFUSALS].add("host", request.remote, what)

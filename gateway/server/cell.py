@@ -159,8 +159,9 @@ class LimitedCell(Cell):
         super().__init__((), whole.bus)
         self._whole = whole
         self._globs = tuple(globs)
-        self._looked_at: tuple[Mapping[str, Topic], Mapping[str, Robot]] = {}, {}  # what there was when these were found:
         self._visible: dict[str, Topic] = {}
+        # what there was when this was found
+        self._looked_at: tuple[Mapping[str, Topic], Mapping[str, Robot]] = {}, {}
 
     @property
     def robots(self) -> Mapping[str, Robot]:

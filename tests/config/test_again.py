@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from gateway.config import load
 from gateway.config.again import load_again
+from gateway.errors import ConfigError
 
 ENTRY = f'[[tokens]]\nname = "hmi"\nsha256 = "{"0" * 64}"\n'
 
@@ -29,3 +32,13 @@ def test_of_a_secret_that_is_read_where_it_is_nothing_is_said(tmp_path: Path) ->
     file.write_text('[server]\ntokens = "tokens.toml"\n')
     running = load(file)
     assert load_again(running, {"CREDENTIALS_DIRECTORY": str(tmp_path)}).warnings == running.warnings
+
+
+@pytest.mark.parametrize("blank", ["", "\n \t\n"])
+def test_a_file_that_is_being_written_takes_no_robot_away(tmp_path: Path, blank: str) -> None:
+    file = tmp_path / "gateway.toml"
+    file.write_text("[server]\n")
+    running = load(file)
+    file.write_text(blank)
+    with pytest.raises(ConfigError, match="is empty: perhaps it was being written"):
+        load_again(running)

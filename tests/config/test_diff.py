@@ -9,17 +9,16 @@ from gateway.core.registry import Registry
 REGISTRY = Registry()
 
 
+def entry(place: tuple[str, str]) -> str:
+    """The entry of a robot at an address."""
+    name, host = place
+    return f'[[robots]]\nname = "{name}"\nvendor = "fairino"\nhost = "{host}"\n'
+
+
 def plan_of(before: dict[str, str], after: dict[str, str], *holding: str) -> tuple[Plan, dict[str, str]]:
     """The plan for robots at some addresses, and where the robots are by it."""
-    configs = [
-        parse(
-            "".join(f'[[robots]]\nname = "{name}"\nvendor = "fairino"\nhost = "{host}"\n' for name, host in one.items()),
-            "test",
-            REGISTRY,
-        )
-        for one in (before, after)
-    ]
-    plan = diff(*map(understand, configs), holding)
+    configs = [parse("\n".join(map(entry, one.items())), "test", REGISTRY) for one in (before, after)]
+    plan = diff(understand(configs[0]), understand(configs[1]), holding)
     running = {robot.name: robot for robot in configs[0].robots}
     return plan, {robot.name: robot.host for robot in effective(plan, running, configs[1].robots)}
 
