@@ -92,7 +92,7 @@ class EventRing:
             seq, missed = 0, None
         else:
             missed = max(0, oldest - seq - 1) if name is not None else 0
-        skip = max(0, seq - oldest + 1)
+        skip = min(max(0, seq - oldest + 1), len(self._ring))
         found = (event for event in islice(self._ring, skip, None) if wanted(event))
         return list(islice(found, limit)), missed
 

@@ -55,3 +55,9 @@ def test_a_name_that_lies_ahead_gives_nothing() -> None:
 def test_what_is_no_name_is_refused(name: str) -> None:
     with pytest.raises(ValueError, match="boot:seq"):
         parse_name(name)
+
+
+@pytest.mark.parametrize("seq", [4, 2**63, 10**40])
+def test_a_name_that_no_event_has_yet_reads_nothing(seq: int) -> None:
+    ring = filled(3)
+    assert ring.since(f"{ring.boot}:{seq}", 10) == ([], 0)
