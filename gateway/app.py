@@ -175,7 +175,7 @@ async def running(config: Config, clock: Clock | None = None) -> AsyncIterator[G
     bus = Bus(EventRing(config.server.event_ring), config.server.command_ring)
     clock = clock or SystemClock()
     links = Links(config.robots, bus, clock, connector_of)
-    cell = Cell(config.robots, bus, lambda: exports.infos())
+    cell = Cell(config.robots, bus, lambda: exports.infos())  # noqa: PLW0108 - which are made next
     exports = Exports(config.export, Source(bus=bus, infos=cell.infos, clock=clock))
     async with AsyncExitStack() as stack:
         await stack.enter_async_context(links.running())

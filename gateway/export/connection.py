@@ -196,6 +196,8 @@ def reason_of(error: BaseException) -> str:
     """An error of nats-py in words."""
     if isinstance(error, nats.js.errors.ServiceUnavailableError) and not error.description:
         return _WORDS[10076]
+    if isinstance(error, nats.js.errors.NotFoundError) and not error.description:
+        return "there is none on this server"
     if isinstance(error, nats.js.errors.APIError):
         return _WORDS.get(error.err_code or 0) or error.description or f"error {error.err_code or error.code}"
     if isinstance(error, nats.js.errors.NoStreamResponseError | nats.errors.NoRespondersError):

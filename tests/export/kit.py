@@ -130,7 +130,7 @@ def free_port() -> int:
 @asynccontextmanager
 async def talking(url: str, **options: str) -> AsyncIterator[Client]:
     """A plain client."""
-    client = await nats.connect(url, **options)  # type: ignore[arg-type]
+    client = await nats.connect(url, **options)
     try:
         yield client
     finally:
