@@ -58,7 +58,11 @@ class Server:
         own = f'listen: "127.0.0.1:{self.port}"\n'
         if jetstream and "jetstream" not in config:
             own += f'jetstream {{ store_dir: "{self.folder / "js"}" }}\n'
-        self._file.write_text(own + config)
+        self.write(own + config)
+
+    def write(self, config: str) -> None:
+        """Write its whole configuration."""
+        self._file.write_text(config)
 
     @property
     def _file(self) -> Path:
@@ -79,6 +83,12 @@ class Server:
             else:
                 return
         raise AssertionError(self.log())
+
+    @property
+    def pid(self) -> int:
+        """Of its process."""
+        assert self._process is not None
+        return self._process.pid
 
     def kill(self) -> None:
         """End it at once, as a power cut would."""
