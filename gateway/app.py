@@ -14,7 +14,7 @@ import msgspec
 import structlog
 
 from gateway import __version__
-from gateway.api.messages import RobotInfo
+from gateway.api.messages import ExportInfo, RobotInfo
 from gateway.api.vendor import Transport
 from gateway.config import Config
 from gateway.config.diff import Plan, as_run, diff, effective, understand
@@ -88,6 +88,15 @@ class Gateway:
     def config(self) -> Config:
         """The configuration that was asked for last, with the robots as they run."""
         return dataclasses.replace(self._asked, robots=tuple(self._links.robots.values()))
+
+    @property
+    def cell(self) -> Cell:
+        """What the doors know of the robots."""
+        return self._cell
+
+    def exports(self) -> list[ExportInfo]:
+        """How the exporters do."""
+        return self._exports.infos()
 
     def infos(self) -> list[RobotInfo]:
         """Every robot with the state of its link."""

@@ -88,12 +88,13 @@ def tailing(server: Server, file: Path) -> Iterator[None]:
             process.terminate()
 
 
-async def measure(cells: int, seconds: float) -> Row:
-    """Run so many cells for so long."""
+async def measure(cells: int, seconds: float, samples_hz: float = 1.0) -> Row:
+    """Run so many cells for so long, each topic's samples at a rate."""
     with tempfile.TemporaryDirectory() as name, nats_server(Path(name) / "hub", port=free_port()) as server:
         folder = Path(name)
         command = [sys.executable, "-m", "tests.export.load", "--server", server.url, "--folder", name]
         command += ["--cells", str(cells), "--robots", str(ROBOTS), "--seconds", str(seconds)]
+        command += ["--samples_hz", str(samples_hz)]
         with tailing(server, folder / "tail"):
             async with reading(NatsAccess(servers=(server.url,)), "plant1") as read:
                 latencies = _Latencies()
@@ -135,13 +136,15 @@ async def _settled(read: Read, events: int) -> None:
             await anyio.sleep(0.05)
 
 
-async def main(*cells: int) -> None:
-    """Measure, a row a number."""
-    for number in cells:
-        sys.stdout.write(f"{msgspec.json.encode(await measure(number, 10.0)).decode()}\n")
+async def main(*cells: str) -> None:
+    """Measure, a row an argument: so many cells, or `50@10` for samples at 10 Hz."""
+    for one in cells:
+        number, _, rate = one.partition("@")
+        row = await measure(int(number), 10.0, float(rate or 1.0))
+        sys.stdout.write(f"{msgspec.json.encode(row).decode()}\n")
         sys.stdout.flush()
 
 
 if __name__ == "__main__":
     logs.configure("error")
-    anyio.run(main, *map(int, sys.argv[1:] or ["10"]))
+    anyio.run(main, *(sys.argv[1:] or ["10"]))
