@@ -65,6 +65,9 @@ async def _status(access: NatsAccess, name: str | None, *, as_json: bool) -> Non
             sys.stdout.write(msgspec.json.format(msgspec.json.encode(shown), indent=2).decode() + "\n")
             return
         console = terminal()
+        if not plant.cells.cells:
+            console.print(f"{plant.reader.plant}: no cell has sent anything yet")
+            return
         console.print(robots_table(infos, latest, now_us, console.width))
         for line in cell_lines(plant):
             console.print(line)
@@ -180,7 +183,7 @@ class _Printed:
         except msgspec.DecodeError:
             return
         self._printer.learn(topic.name, group_schema(group))
-        self._print(sample)
+        self._print(msgspec.structs.replace(sample, data=msgspec.to_builtins(sample.data)))
 
     def event(self, cell_name: str, robot: str, group: str, payload: bytes) -> None:
         """Print an event, under the name that its gateway gave it."""

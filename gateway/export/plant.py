@@ -163,18 +163,22 @@ class PlantReader:
 
     async def _states(self, connection: Connection) -> None:
         bucket = await connection.jetstream.key_value(self.plant or "")
+        kept = (await bucket.status()).values > 0
         watcher = await bucket.watchall()
-        kept = True
         self.notes.pop("states", None)
+        if not kept:
+            self.ready.set()
         async for entry in watcher:
-            told = cast("KeyValue.Entry | None", entry)  # None: so far it was kept, from here on it is new
-            if told is None:
-                kept = False
-                self.ready.set()
-            elif told.operation is not None:
+            told = cast("KeyValue.Entry | None", entry)
+            if told is None:  # nats-py's sign that what was kept is over may come too early: the count below does not
+                continue
+            if told.operation is not None:
                 self._forget(told.key)
             else:
                 self._take(told.key, told.value or b"", kept=kept)
+            if kept and not told.delta:
+                kept = False
+                self.ready.set()
 
     def _take(self, key: str, payload: bytes, *, kept: bool) -> None:
         cell, _, rest = key.partition(".")
