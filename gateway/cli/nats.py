@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gateway.cli.common import USAGE, fail
-from gateway.config.exports import AccessError, NatsAccess, has_nats, nats_access, server_fault
+
+if TYPE_CHECKING:
+    from gateway.config.exports import NatsAccess
 
 _CREDENTIALS = "ROBOT_GATEWAY_NATS_CREDENTIALS"
 
@@ -32,6 +34,9 @@ Credentials = Annotated[
 
 def access_of(url: str, credentials: Path | None, ca: Path | None) -> NatsAccess:
     """How the server is reached; ends the command where the options are wrong."""
+    # The configuration is imported only here, so that `status` of one gateway starts at once.
+    from gateway.config.exports import AccessError, has_nats, nats_access, server_fault  # noqa: PLC0415
+
     if not has_nats():
         fail("--nats needs nats-py: pip install 'robot-gateway[nats]'", USAGE)
     if fault := server_fault(url):
