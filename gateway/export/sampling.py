@@ -65,7 +65,7 @@ class Samples:
             else:
                 await self._round(connection, last)
                 connection.well("samples")
-            await anyio.sleep(due_s - time.monotonic())
+            await anyio.sleep(max(0.0, due_s - time.monotonic()))
 
     async def _round(self, connection: Connection, last: dict[str, Reading]) -> None:
         if self._topics is None:

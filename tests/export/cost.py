@@ -49,7 +49,8 @@ def config(folder: Path, port: int, robot_port: int, export: str) -> Path:
     """The configuration of a gateway with all robots."""
     text = f'[server]\nlisten = "127.0.0.1:{port}"\ncontrol = "{folder}/{port}.sock"\n{export}'
     for number in range(1, ROBOTS + 1):
-        text += f'\n[[robots]]\nname = "r{number}"\nvendor = "rainbow"\nhost = "127.0.0.{number + 1}"\nport = {robot_port}\n'
+        text += f'\n[[robots]]\nname = "r{number}"\nvendor = "rainbow"\n'
+        text += f'host = "127.0.0.{number + 1}"\nport = {robot_port}\n'
     file = folder / f"{port}.toml"
     file.write_text(text)
     return file
@@ -77,9 +78,7 @@ def main(seconds: float = 15.0) -> None:
     with tempfile.TemporaryDirectory() as name, nats_server(Path(name) / "hub") as server:
         folder, robot_port = Path(name), free_port()
         export = EXPORT.format(url=server.url, folder=name)
-        with process(
-            "simulate", "rainbow", "--count", str(ROBOTS), "--host", "127.0.0.2", "--port", str(robot_port)
-        ):
+        with process("simulate", "rainbow", "--count", str(ROBOTS), "--host", "127.0.0.2", "--port", str(robot_port)):
             time.sleep(1.0)
             for what, text in (("without", ""), ("with", export), ("without", ""), ("with", export)):
                 used, memory, told = share(folder, robot_port, text, seconds)

@@ -19,13 +19,10 @@ import msgspec
 import nats
 from nats.aio.client import Client
 
-from gateway.api.messages import RobotInfo
 from gateway.api.model import EventKind
 from gateway.config.exports import NatsAccess, NatsSettings, NatsTable
 from gateway.core.backoff import no_waiting
-from gateway.core.bus import Bus
 from gateway.core.clock import SystemClock
-from gateway.core.settings import BrokenRobot, RobotSettings
 from gateway.export import Source
 from gateway.export.nats import NatsExporter
 from gateway.server.cell import Cell
@@ -72,7 +69,8 @@ class Server:
         """Start it, and wait until it listens."""
         assert BINARY is not None
         with (self.folder / "log").open("ab") as log:
-            self._process = subprocess.Popen([BINARY, "-c", str(self._file)], stdout=log, stderr=log)
+            command = [BINARY, "-c", str(self._file)]
+            self._process = subprocess.Popen(command, stdout=log, stderr=log)  # noqa: S603 - the server
         until = time.monotonic() + _START_S
         while time.monotonic() < until:
             try:
@@ -150,7 +148,7 @@ async def talking(url: str, **options: str) -> AsyncIterator[Client]:
 def settings(server: str, folder: Path, **keys: object) -> NatsSettings:
     """`[export.nats]` for a server."""
     words = {"servers": [server], "plant": "plant1", "cell": "cell1", "samples_hz": 20.0, "heartbeat_s": 0.1, **keys}
-    secret = words.pop("secret", None)
+    secret = words.pop("login", None)
     table = msgspec.convert(words, NatsTable)
     access = NatsAccess(servers=tuple(table.servers), secret=None if secret is None else str(secret))
     return NatsSettings(table=table, access=access, outbox=folder / "outbox")
@@ -167,7 +165,8 @@ class Plant:
     def __init__(self, settings: NatsSettings, *names: str, ring: int = 10_000) -> None:
         self.bus, self.robots = cell(*names, ring=ring)
         self.bus.events.boot = settings.table.cell + "boot"
-        self.exporter = exporter(settings, self.bus, self.robots)
+        self.doors = Cell(self.robots, self.bus)
+        self.exporter = exporter(settings, self.doors)
 
     def happen(self, robot: str, count: int = 1, value: object = "MOVING") -> None:
         """Let something happen to a robot, so many times."""
@@ -177,14 +176,9 @@ class Plant:
             )
 
 
-def exporter(settings: NatsSettings, bus: Bus, robots: Sequence[RobotSettings | BrokenRobot]) -> NatsExporter:
+def exporter(settings: NatsSettings, doors: Cell) -> NatsExporter:
     """An exporter that does not wait between attempts for longer than a moment."""
-    doors = Cell(robots, bus)
-
-    def infos() -> list[RobotInfo]:
-        return doors.infos()
-
-    return NatsExporter(settings, Source(bus=bus, infos=infos, clock=SystemClock()), quick)
+    return NatsExporter(settings, Source(bus=doors.bus, infos=doors.infos, clock=SystemClock()), quick)
 
 
 def quick() -> Iterator[float]:

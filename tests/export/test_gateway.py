@@ -27,7 +27,10 @@ async def sending_to(cell: VirtualCell, url: str | None, folder: Path, **keys: o
 
 
 async def scraped(cell: VirtualCell) -> dict[str, float]:
-    async with aiohttp.ClientSession() as session, session.get(cell.url.replace("ws", "http", 1)[:-2] + "metrics") as got:
+    async with (
+        aiohttp.ClientSession() as session,
+        session.get(cell.url.replace("ws", "http", 1)[:-2] + "metrics") as got,
+    ):
         text = await got.text()
     return {
         "/".join([sample.name, *(value for key, value in sample.labels.items() if key == "kind")]): sample.value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import anyio
@@ -192,7 +193,7 @@ async def test_two_gateways_with_one_outbox_find_each_other(tmp_path: Path) -> N
 
 async def test_wrong_credentials_are_said_and_never_shown(tmp_path: Path) -> None:
     with nats_server(tmp_path / "hub", 'authorization { user: "cell1", password: "right" }\n') as server:
-        plant = Plant(settings(server.url, tmp_path, secret="cell1:s3cr3t-w0rd"), "r1")
+        plant = Plant(settings(server.url, tmp_path, login="cell1:s3cr3t-w0rd"), "r1")
         async with exporting(plant.exporter):
             await until(lambda: "does not let us in" in str(plant.exporter.info().reason))
             assert "s3cr3t" not in repr(plant.exporter.info()) + repr(plant.exporter._settings)
@@ -201,7 +202,7 @@ async def test_wrong_credentials_are_said_and_never_shown(tmp_path: Path) -> Non
 async def test_an_authorisation_that_is_revoked_is_said_and_events_wait_for_its_return(tmp_path: Path) -> None:
     allowed = 'authorization { users: [{ user: "cell1", password: "right" }] }\n'
     with nats_server(tmp_path / "hub", allowed) as server:
-        plant = Plant(settings(server.url, tmp_path, secret="cell1:right"), "r1")
+        plant = Plant(settings(server.url, tmp_path, login="cell1:right"), "r1")
         async with exporting(plant.exporter):
             plant.happen("r1")
             await until(lambda: plant.exporter.info().sent["events"] == 1)
@@ -223,7 +224,7 @@ async def test_a_permission_that_is_missing_is_named(tmp_path: Path) -> None:
         '["$JS.API.>", "$KV.plant1.>"], subscribe: ["_INBOX.>"] } }] }\n'
     )
     with nats_server(tmp_path / "hub", users) as server:
-        plant = Plant(settings(server.url, tmp_path, secret="cell1:p"), "r1")
+        plant = Plant(settings(server.url, tmp_path, login="cell1:p"), "r1")
         async with exporting(plant.exporter):
             plant.happen("r1")
             await until(lambda: "does not permit it" in " ".join(plant.exporter.info().notes), 15)
@@ -242,6 +243,22 @@ async def test_a_server_without_jetstream_gets_samples_and_is_told_apart(tmp_pat
             await until(lambda: "JetStream is not enabled" in " ".join(plant.exporter.info().notes))
             publish(plant.bus, "r1/joints", 1)
             assert (await heard.next_msg(5)).subject == "plant1.cell1.r1.joints"
+
+
+async def test_a_round_of_samples_that_takes_longer_than_its_period_is_followed_by_the_next(tmp_path: Path) -> None:
+    with nats_server(tmp_path / "hub") as server:
+        plant = Plant(settings(server.url, tmp_path, samples_hz=100, groups=["joints"]), "r1")
+        sampler = plant.exporter._samples
+        async with exporting(plant.exporter):
+            await until(lambda: plant.exporter.info().connected)
+            for seq in range(20):
+                publish(plant.bus, "r1/joints", seq)
+                time.sleep(0.03)  # noqa: ASYNC251 - the loop is busy with something else
+                await anyio.sleep(0)
+            sent = sampler.n_sent
+            publish(plant.bus, "r1/joints", 99)
+            await until(lambda: sampler.n_sent > sent)
+            assert plant.exporter.info().notes == []
 
 
 @pytest.mark.limit(40)

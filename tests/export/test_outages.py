@@ -114,7 +114,7 @@ async def test_a_gateway_killed_in_an_outage_loses_nothing_that_was_on_disk(tmp_
         load = [sys.executable, "-m", "tests.export.load", "--server", server.url, "--folder", str(tmp_path / "load")]
         load += ["--events_hz", "200", "--seconds"]
         file = tmp_path / "load" / "cell1" / "outbox" / "nats.plant1.cell1.sqlite"
-        with subprocess.Popen([*load, "600"], stdout=subprocess.DEVNULL) as victim:  # noqa: S603 - our own program
+        with subprocess.Popen([*load, "600"], stdout=subprocess.DEVNULL) as victim:  # noqa: S603, ASYNC220 - our own program
             await until(file.exists)
             await anyio.sleep(1.0)
             server.kill()

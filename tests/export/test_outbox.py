@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import anyio
@@ -83,7 +84,7 @@ async def test_a_damaged_file_is_put_aside_and_a_new_one_begun(tmp_path: Path) -
     await outbox.put([row(1)], {})
     assert await names(outbox) == [1]
     await outbox.close()
-    assert [one.name.partition("damaged")[1] for one in tmp_path.glob("*damaged*")] == ["damaged"]
+    assert [one.partition("damaged")[1] for one in os.listdir(tmp_path) if one != path.name] == ["damaged"]  # noqa: PTH208
 
 
 async def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
