@@ -16,16 +16,19 @@ from pathlib import Path
 
 import anyio
 import msgspec
+from nats.js.api import KeyValueConfig, StreamConfig
 
 from gateway import logs
 from gateway.api.model import Event
 from gateway.config.exports import NatsAccess
 from gateway.core.bus import Change, Reading, Topic
+from gateway.export.subjects import event_subjects
 from gateway.plant import Plant as Read
 from gateway.plant import reading
 from tests.export.kit import Server, free_port, nats_server, now_us, talking
 
 ROBOTS = 8
+_START_S = 3.0  # tail is there by then
 _TICKS = 100.0  # of the kernel's clock, in a second
 
 
@@ -95,7 +98,11 @@ async def measure(cells: int, seconds: float, samples_hz: float = 1.0) -> Row:
         command = [sys.executable, "-m", "tests.export.load", "--server", server.url, "--folder", name]
         command += ["--cells", str(cells), "--robots", str(ROBOTS), "--seconds", str(seconds)]
         command += ["--samples_hz", str(samples_hz)]
+        async with talking(server.url) as client:
+            await client.jetstream().create_key_value(KeyValueConfig(bucket="plant1"))
+            await client.jetstream().add_stream(StreamConfig(name="plant1-events", subjects=event_subjects("plant1")))
         with tailing(server, folder / "tail"):
+            await anyio.sleep(_START_S)
             async with reading(NatsAccess(servers=(server.url,)), "plant1") as read:
                 latencies = _Latencies()
                 read.bus.watch(latencies)
