@@ -42,7 +42,7 @@ def plant_command(
     \b
     Examples:
       robot-gateway plant --nats nats://10.0.0.5:4222
-      robot-gateway plant --nats tls://plant.example.com --listen 0.0.0.0:8766 --tokens tokens.toml
+      robot-gateway plant --nats tls://plant --listen 0.0.0.0:80 --tokens t.toml
     """  # noqa: D301 - the \b keeps the lines apart
     try:
         host, port = split_listen(listen)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import msgspec
 
-from gateway.api.model import GROUPS, Link, LinkState, Quality, Sample
+from gateway.api.model import GROUPS, Event, Link, LinkState, Quality, Sample
 from gateway.core.bus import Bus, Topic, ValueReading
 from gateway.core.settings import ToldRobot
 from gateway.export.readings import ToldReading, told_event
@@ -20,6 +20,7 @@ from gateway.export.subjects import Beat, Card
 
 _BEATS = 3.5  # so many periods without a heartbeat, and a cell is silent
 _EPOCH = "silent"
+_EARLY = 10_000  # so many events may wait for their robot to be told
 
 
 @dataclass(slots=True)
@@ -71,6 +72,7 @@ class Cells:
         self._on_robots = on_robots
         self._now = now
         self._told: dict[str, ToldReading] = {}  # by topic: the last word of each cell
+        self._early: list[tuple[str, Event]] = []  # of robots that are not known yet
         self.cells: dict[str, CellSeen] = {}
         self.n_wrong = 0
         self.connection: str | None = "connecting"
@@ -131,6 +133,13 @@ class Cells:
             ]
         )
         self._bus.announce(new, gone)
+        early, self._early = self._early, []
+        for topic_name, event in early:
+            found = self._bus.topics.get(topic_name)
+            if found is None:
+                self._early.append((topic_name, event))
+            else:
+                self._raise(found, event)
 
     def sample(self, cell_name: str, robot: str, group: str, payload: bytes) -> None:
         """Take a sample or a state."""
@@ -157,9 +166,15 @@ class Cells:
         except msgspec.DecodeError:
             self.n_wrong += 1
             return
-        topic = self._bus.topics.get(f"{cell_name}/{robot}/{group}")
+        name = f"{cell_name}/{robot}/{group}"
+        topic = self._bus.topics.get(name)
         if topic is not None:
-            self._bus.raise_event(topic, event.t, event.kind, event.before, event.after, event.raw)
+            self._raise(topic, event)
+        elif len(self._early) < _EARLY:
+            self._early.append((name, event))
+
+    def _raise(self, topic: Topic, event: Event) -> None:
+        self._bus.raise_event(topic, event.t, event.kind, event.before, event.after, event.raw)
 
     def wrong(self) -> None:
         """Something came that was none of ours."""

@@ -10,10 +10,15 @@ import anyio
 import msgspec
 import pytest
 
-from gateway.api.model import LinkState, Quality, Status
+from gateway.api.model import Event, EventKind, LinkState, Quality, Status
 from gateway.config.exports import NatsAccess
+from gateway.core.bus import Bus
+from gateway.core.events import EventRing
+from gateway.export.cells import Cells
+from gateway.export.subjects import Card
 from gateway.plant import Plant as Read
 from gateway.plant import open_doors, reading
+from gateway.server.cell import Cell
 from gateway.server.settings import DoorSettings
 from tests.export.kit import BINARY, Plant, exporting, nats_server, settings, until
 from tests.server.kit import publish, publish_status
@@ -127,6 +132,18 @@ async def test_a_door_of_the_plant_speaks_the_native_protocol(tmp_path: Path) ->
                 assert found[0]["topic"] == "cell2/r1/status"
                 described = await talk.ask("describe", topic="cell1/r1/joints")
                 assert "schema" in str(described)
+
+
+def test_an_event_of_a_robot_that_is_not_known_yet_waits_for_it() -> None:
+    bus = Bus(EventRing())
+    cells = Cells(bus, Cell((), bus).replace)
+    cells.connected()
+    event = Event(name="b:1", seq=1, robot="r1", t=5, kind=EventKind.MOTION_STARTED)
+    cells.event("cell1", "r1", "events", msgspec.json.encode(event))
+    assert bus.events.last_seq == 0
+    cells.robots("cell1", [Card(name="r1", vendor="v", protocol="p", groups=["joints", "events"])])
+    (told,), _ = bus.events.since(None, 10)
+    assert (told.robot, told.t) == ("cell1/r1", 5)
 
 
 async def test_two_gateways_with_one_name_are_shown_in_the_plant(tmp_path: Path) -> None:
