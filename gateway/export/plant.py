@@ -214,12 +214,14 @@ class PlantReader:
         await self.ready.wait()
         stream, jetstream = f"{self.plant}-events", connection.jetstream
         try:
-            await jetstream.stream_info(stream)
+            info = await jetstream.stream_info(stream)
         except nats.js.errors.NotFoundError:
             for group in EVENT_GROUPS:
                 await connection.client.subscribe(f"{self.plant}.*.*.{group}", cb=self._on_live_event)
             await connection.ended.wait()
             return
+        if info.state.last_seq < self._last_event:  # the stream was made anew
+            self._last_event = 0
         if self._last_event:
             config = ConsumerConfig(deliver_policy=DeliverPolicy.BY_START_SEQUENCE, opt_start_seq=self._last_event + 1)
         else:
