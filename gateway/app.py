@@ -14,7 +14,7 @@ import msgspec
 import structlog
 
 from gateway import __version__
-from gateway.api.messages import RobotInfo
+from gateway.api.messages import ExportInfo, RobotInfo
 from gateway.api.vendor import Transport
 from gateway.config import Config
 from gateway.config.diff import Plan, as_run, diff, effective, understand
@@ -27,6 +27,8 @@ from gateway.core.tcp_server import TcpServer
 from gateway.core.transport import Connector, TcpClient
 from gateway.core.udp import UdpClient
 from gateway.errors import GatewayError
+from gateway.export import Source
+from gateway.export.running import Exports
 from gateway.notify import Notifier
 from gateway.reloading import attended
 from gateway.server.cell import Cell
@@ -49,18 +51,20 @@ class Gateway:
         cell: What the doors know of the robots.
         links: Its robots.
         doors: Its listener.
+        exports: What sends it on.
 
     Attributes:
         bus: Its topics and events.
     """
 
-    def __init__(self, config: Config, bus: Bus, cell: Cell, links: Links, doors: Listener) -> None:
+    def __init__(self, config: Config, bus: Bus, cell: Cell, links: Links, doors: Listener, exports: Exports) -> None:
         self.bus = bus
         self._asked = config
         self._runs = understand(config)
         self._cell = cell
         self._links = links
         self._doors = doors
+        self._exports = exports
         self._one_at_a_time = anyio.Lock()
         self._freed = anyio.Event()
 
@@ -84,6 +88,15 @@ class Gateway:
     def config(self) -> Config:
         """The configuration that was asked for last, with the robots as they run."""
         return dataclasses.replace(self._asked, robots=tuple(self._links.robots.values()))
+
+    @property
+    def cell(self) -> Cell:
+        """What the doors know of the robots."""
+        return self._cell
+
+    def exports(self) -> list[ExportInfo]:
+        """How the exporters do."""
+        return self._exports.infos()
 
     def infos(self) -> list[RobotInfo]:
         """Every robot with the state of its link."""
@@ -113,6 +126,7 @@ class Gateway:
             if not check:
                 self.bus.resize(config.server.event_ring, config.server.command_ring)
                 await self._take_robots(plan, config)
+                await self._exports.apply(config.export)
                 self._asked, self._runs = config, as_run(plan, self._runs, new)
             return msgspec.structs.replace(plan, warnings=list(config.warnings))
 
@@ -170,17 +184,20 @@ async def running(config: Config, clock: Clock | None = None) -> AsyncIterator[G
         ListenError: The listener could not be opened.
     """
     bus = Bus(EventRing(config.server.event_ring), config.server.command_ring)
-    links = Links(config.robots, bus, clock or SystemClock(), connector_of)
-    cell = Cell(config.robots, bus)
+    clock = clock or SystemClock()
+    links = Links(config.robots, bus, clock, connector_of)
+    cell = Cell(config.robots, bus, lambda: exports.infos())  # noqa: PLW0108 - which are made next
+    exports = Exports(config.export, Source(bus=bus, infos=cell.infos, clock=clock))
     async with AsyncExitStack() as stack:
         await stack.enter_async_context(links.running())
         doors = await stack.enter_async_context(listening(cell, *config.server.address, door_settings(config)))
         _LOG.info(
             "gateway.started", version=__version__, listen=f"{doors.host}:{doors.port}", robots=len(config.robots)
         )
-        gateway = Gateway(config, bus, cell, links, doors)
+        gateway = Gateway(config, bus, cell, links, doors, exports)
         tasks = await stack.enter_async_context(anyio.create_task_group())
         tasks.start_soon(gateway.follow_up)
+        tasks.start_soon(exports.run)
         links.start()
         try:
             yield gateway

@@ -103,6 +103,26 @@ class RobotInfo(msgspec.Struct, frozen=True, kw_only=True):
     ] = None
 
 
+class ExportInfo(msgspec.Struct, frozen=True, kw_only=True):
+    """One exporter as `robots` tells it to who may see the whole cell."""
+
+    name: Annotated[str, Meta(description="Its table in the configuration, such as nats.")]
+    target: Annotated[str, Meta(description="Where it sends, in words; never a secret.")]
+    connected: bool
+    since: Annotated[
+        int, Meta(description="Since when it is, or is not, UTC since 1970.", extra_json_schema={"unit": "µs"})
+    ]
+    reason: Annotated[str | None, Meta(description="Why it is not connected.")] = None
+    waiting_events: Annotated[int, Meta(description="Events in the outbox that nobody has acknowledged.")] = 0
+    waiting_bytes: Annotated[int, Meta(description="What they take.", extra_json_schema={"unit": "byte"})] = 0
+    oldest: Annotated[float | None, Meta(description="Age of the oldest of them.", extra_json_schema={"unit": "s"})] = (
+        None
+    )
+    sent: Annotated[dict[str, int], Meta(description="Since the start: samples, states, and acknowledged events.")] = {}
+    dropped_events: Annotated[int, Meta(description="Events that will never arrive, since the outbox was made.")] = 0
+    notes: Annotated[list[str], Meta(description="What the operator should know of it, one sentence each.")] = []
+
+
 class SourceInfo(msgspec.Struct, frozen=True, kw_only=True):
     """Where the value of one key comes from."""
 
@@ -176,6 +196,7 @@ class Result(msgspec.Struct, tag_field="op", tag="result", frozen=True, kw_only=
     events: Annotated[list[Event], Meta(description="events.")] | None = None
     missed: Annotated[int, Meta(description="events: how many are gone; -1: their number is not known.")] | None = None
     robots: Annotated[list[RobotInfo], Meta(description="robots.")] | None = None
+    exports: Annotated[list[ExportInfo], Meta(description="robots: where the cell is sent besides.")] | None = None
     description: Annotated[Description, Meta(description="describe.")] | None = None
     t: Annotated[int, Meta(description="ping: the gateway's UTC time.", extra_json_schema={"unit": "µs"})] | None = None
 

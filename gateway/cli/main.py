@@ -20,6 +20,7 @@ _COMMANDS = {
     "status": ("gateway.cli.status", "status"),
     "health": ("gateway.cli.health", "health"),
     "tail": ("gateway.cli.tail", "tail"),
+    "plant": ("gateway.cli.plant", "plant_command"),
     "probe": ("gateway.cli.probe", "probe_command"),
     "vendors": ("gateway.cli.vendors", "vendors"),
     "vendor-check": ("gateway.cli.vendor_check", "vendor_check"),

@@ -16,7 +16,8 @@ from gateway.api.messages import RobotInfo
 from gateway.api.model import LinkState, Sample
 from gateway.cli.common import DEFAULT_URL, USAGE, Ca, TokenFile, Url, call, fail, tell, terminal, way
 from gateway.cli.measured import Measured
-from gateway.cli.view import INSECURE, robots_table
+from gateway.cli.nats import Credentials, NatsUrl, PlantName, access_of
+from gateway.cli.view import INSECURE, export_lines, robots_table
 from gateway.cli.watch import watch as watch_cell
 from gateway.cli.why import explain
 from gateway.client import Client, Way, connect
@@ -35,6 +36,9 @@ def status(
     ] = None,
     token_file: TokenFile = None,
     ca: Ca = None,
+    nats: NatsUrl = None,
+    plant: PlantName = None,
+    credentials: Credentials = None,
 ) -> None:
     """Show every robot of a running gateway: link, rate, power, motion, program and safety.
 
@@ -47,6 +51,7 @@ def status(
       robot-gateway status --watch
       robot-gateway status --why r1
       robot-gateway status --url wss://cell-7:8765/ws --token-file hmi.token
+      robot-gateway status --nats nats://plant.example.com --plant plant1
       robot-gateway status --json | jq '.[] | [.name, .link.state]'
     """  # noqa: D301 - the \b keeps the lines apart
     if watch and as_json:
@@ -56,6 +61,11 @@ def status(
         )
     if why is not None and (watch or as_json):
         fail("--why explains one robot to people, once: leave out --watch and --json", USAGE)
+    if nats is not None:
+        from gateway.cli.plant_view import plant_status  # noqa: PLC0415 - nats-py may not be there
+
+        plant_status(access_of(nats, credentials, ca), plant, as_json=as_json)
+        return
     gateway = way(url, token_file, ca)
     if why is not None:
         call(partial(_why, gateway, why))
@@ -69,6 +79,7 @@ async def _once(gateway: Way, *, as_json: bool) -> None:
     async with connect(gateway) as client:
         _warn(client)
         robots, latest = await _ask(client)
+        exports = await client.exports()
     if as_json:
         shown = [
             {
@@ -82,6 +93,8 @@ async def _once(gateway: Way, *, as_json: bool) -> None:
         return
     console = terminal()
     console.print(robots_table(robots, latest, _now_us(), console.width))
+    for line in export_lines(exports, _now_us()):
+        console.print(line)
 
 
 def _warn(client: Client) -> None:

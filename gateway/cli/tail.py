@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from enum import StrEnum
 from functools import partial
 from typing import Annotated
@@ -16,6 +16,7 @@ import typer
 from gateway.api.messages import MAX_RATE_HZ, Missed, Mode
 from gateway.api.model import Event, Quality, Sample
 from gateway.cli.common import DEFAULT_URL, USAGE, Ca, TokenFile, Url, call, fail, tell, way
+from gateway.cli.nats import Credentials, NatsUrl, access_of
 from gateway.cli.view import event_line, flat, sample_lines, units_of
 from gateway.client import Client, ClientError, Connected, Disconnected, Follower, Item, Refused, Way, follow
 
@@ -62,6 +63,8 @@ def tail(
     url: Url = DEFAULT_URL,
     token_file: TokenFile = None,
     ca: Ca = None,
+    nats: NatsUrl = None,
+    credentials: Credentials = None,
 ) -> None:
     """Follow live samples and events until Ctrl-C, through every cut: events go on where they stopped.
 
@@ -74,6 +77,7 @@ def tail(
       robot-gateway tail r1/tcp r1/status --rate 2
       robot-gateway tail 'r1/*' --all --format json > r1.ndjson
       robot-gateway tail r1/joints --fields position --format csv > r1.csv
+      robot-gateway tail --nats nats://plant.example.com 'plant1.*.*.safety'
     """  # noqa: D301 - the \b keeps the lines apart
     wanted = topics or _DEFAULT_TOPICS
     groups = {topic.rpartition("/")[2] for topic in wanted}
@@ -81,6 +85,11 @@ def tail(
         fail("csv has one kind of row: name topics of one group that is not events, such as '*/joints'", USAGE)
     if not every and not 0 < rate <= MAX_RATE_HZ:
         fail(f"--rate {rate:g}: a rate is above 0 and at most {MAX_RATE_HZ:g}; --all gives every sample", USAGE)
+    if nats is not None:
+        from gateway.cli.plant_view import tail_plant  # noqa: PLC0415 - nats-py may not be there
+
+        tail_plant(access_of(nats, credentials, ca), topics, Printer(format_, count))
+        return
     chosen = None if fields is None else [field.strip() for field in fields.split(",")]
     gateway = way(url, token_file, ca)
     follow = partial(_follow, gateway, wanted, Printer(format_, count), fields=chosen, since=since)
@@ -137,6 +146,11 @@ class Printer:
         if follower.client is not None:
             with contextlib.suppress(ClientError):  # gone again, which the next item says
                 await self._learn_units(follower.client, follower.topics)
+
+    def learn(self, topic: str, schema: Mapping[str, object]) -> None:
+        """Take the units of a topic's fields from its schema."""
+        if topic not in self._units:
+            self._units[topic] = units_of(schema)
 
     async def _learn_units(self, client: Client, topics: list[str]) -> None:
         for topic in topics:

@@ -11,7 +11,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from gateway.api.messages import RobotInfo
+from gateway.api.messages import ExportInfo, RobotInfo
 from gateway.api.model import Event, EventKind, LinkState, Sample
 
 UNKNOWN = "–"  # noqa: RUF001 - a dash, as in print
@@ -101,6 +101,20 @@ def robots_table(
     on = [robot for robot in shown if robot.link.state is LinkState.ONLINE]
     below += [Text.assemble((f"{robot.name}: ", "bold"), note) for robot in on for note in robot.link.notes]
     return Group(table, *below)
+
+
+def export_lines(exports: Iterable[ExportInfo], now_us: int) -> Iterator[Text]:
+    """Where the cell is sent besides, a line each, and below it what the operator should know."""
+    for one in exports:
+        state = ("connected", _GOOD) if one.connected else ("not connected", "red")
+        words = f" for {duration((now_us - one.since) / 1e6)}, {one.waiting_events} events waiting"
+        if one.oldest is not None:
+            words += f" (the oldest for {duration(one.oldest)})"
+        if one.dropped_events:
+            words += f", {one.dropped_events} dropped"
+        yield Text.assemble((f"{one.name}: ", "bold"), f"{one.target}, ", state, words)
+        for told in (*([one.reason] if one.reason else []), *one.notes):
+            yield Text.assemble((f"{one.name}: ", "bold"), told)
 
 
 def _needed(rows: Iterable[Sequence[Text]], kept: Collection[str]) -> int:

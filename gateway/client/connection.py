@@ -96,6 +96,10 @@ class Client:
         request = messages.Events(id=next(self._ids), since=since, limit=limit, topics=list(topics))
         return _part((await self._ask(request)).events)
 
+    async def exports(self) -> list[messages.ExportInfo]:
+        """Where the gateway sends what it reads besides; empty: nowhere, or a token may not see all of the cell."""
+        return (await self._ask(messages.Robots(id=next(self._ids)))).exports or []
+
     async def subscribe(
         self,
         topics: Sequence[str],

@@ -14,6 +14,7 @@ from typing import Literal
 
 import msgspec
 
+from gateway.config.exports import ExportSettings
 from gateway.config.file import Config
 from gateway.config.keys import canonical
 from gateway.config.printing import as_toml, toml_value
@@ -84,6 +85,7 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
         held: Robots whose change waits.
         unchanged: How many robots notice nothing.
         doors: Keys of `[server]`.
+        exports: Keys of `[export]`.
         restart: What does not change before the gateway is started again.
         warnings: What is worth knowing of the new configuration.
     """
@@ -94,6 +96,7 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
     held: list[Held] = []
     unchanged: int = 0
     doors: list[KeyChange] = []
+    exports: list[KeyChange] = []
     restart: list[str] = []
     warnings: list[str] = []
 
@@ -112,12 +115,16 @@ class Understood:
         doors: Keys of `[server]`.
         vendor_dirs: The folders of further plugins.
         content: What stands in the files that `[server]` names; compared and never shown.
+        exports: Keys of `[export]`.
+        export: What they and their files say; compared and never shown.
     """
 
     robots: Mapping[str, Keys]
     doors: Keys
     vendor_dirs: str
     content: Mapping[str, object]
+    exports: Keys
+    export: ExportSettings
 
 
 def understand(config: Config) -> Understood:
@@ -129,6 +136,8 @@ def understand(config: Config) -> Understood:
         doors=dict(_flat(printed["server"])),
         vendor_dirs=toml_value(printed["vendor_dirs"]),
         content=_content(config),
+        exports=dict(_flat(printed.get("export", {}))),
+        export=config.export,
     )
 
 
@@ -151,6 +160,7 @@ def diff(running: Understood, new: Understood, holding: Collection[str]) -> Plan
         ],
         unchanged=sum(before.get(name) == keys for name, keys in after.items()),
         doors=_doors(running, new),
+        exports=_exports(running, new),
         restart=_restart(running, new),
     )
     return _held_back(plan, before, after, holding)
@@ -234,6 +244,12 @@ def _doors(running: Understood, new: Understood) -> list[KeyChange]:
     content = [key for key, value in new.content.items() if value != running.content.get(key) and key not in named]
     shown = [KeyChange(key=one.key) if one.key in SECRET else one for one in changes]
     return [*shown, *(KeyChange(key=key) for key in content)]
+
+
+def _exports(running: Understood, new: Understood) -> list[KeyChange]:
+    """The keys of `[export]` that change; of a file that a key names no more than that it does."""
+    changes = _changes(running.exports, new.exports)
+    return changes if changes or running.export == new.export else [KeyChange(key="nats.credentials")]
 
 
 def _restart(running: Understood, new: Understood) -> list[str]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import stat
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from gateway.config.certificates import CertificateError, TlsFiles, load_certificate
+from gateway.config.exports import ExportSettings, read_exports
 from gateway.config.keys import SERVER_TABLES, TOP_KEYS, Server, is_loopback
 from gateway.config.problems import Problems, fault_of, hint, quoted, read_fields, read_toml
 from gateway.config.reading import read_file
@@ -44,6 +45,7 @@ class Config:
         registry: Where the plugins came from.
         tokens: Who may read what; None: nobody needs a token.
         tls: Where certificate and key are read; None: the doors speak in the clear.
+        export: Where it is sent besides.
         warnings: What the operator should know, one line each.
     """
 
@@ -54,6 +56,7 @@ class Config:
     registry: Registry
     tokens: tuple[Token, ...] | None = None
     tls: TlsFiles | None = None
+    export: ExportSettings = field(default_factory=ExportSettings)
     warnings: tuple[str, ...] = ()
 
 
@@ -131,6 +134,7 @@ def parse(
     dirs = _vendor_dirs(problems, raw.get("vendor_dirs", []), folder)
     found = registry or _registry(problems, dirs)
     robots = Robots(problems, found, _listening(server)).read(raw.get("robots", []))
+    export = read_exports(problems, raw.get("export", {}), folder, env)
     problems.check()
     return Config(
         file=file,
@@ -140,6 +144,7 @@ def parse(
         registry=found or Registry(),
         tokens=doors.tokens,
         tls=doors.tls,
+        export=export,
         warnings=problems.warnings,
     )
 

@@ -12,7 +12,7 @@ from msgspec import Meta
 from gateway.config.problems import quoted
 from gateway.core.settings import EstopPolarity
 
-TOP_KEYS = ("vendor_dirs", "server", "robots")
+TOP_KEYS = ("vendor_dirs", "server", "robots", "export")
 STALE_PERIODS = 5  # a link is not called stale before this many answers are missing
 PART_PERIODS = 2  # nor a value that comes in turn with others, before this many of its own
 STALE_LEAST_S = 0.02

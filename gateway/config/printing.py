@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from gateway.config.exports import EXPORT_TABLES
 from gateway.config.keys import RobotTable, Server
 from gateway.core.settings import RobotSettings
 from gateway.errors import VendorError
@@ -30,6 +31,7 @@ def as_toml(config: Config) -> str:
     """The configuration as understood, in TOML that means the same."""
     lines = [f"vendor_dirs = {toml_value([str(path) for path in config.vendor_dirs])}", "", "[server]"]
     lines += _doors(config)
+    lines += _exports(config)
     for robot in config.robots:
         lines += ["", "[[robots]]", *(_live(robot) if isinstance(robot, RobotSettings) else _broken(robot))]
     return "\n".join(lines) + "\n"
@@ -48,6 +50,15 @@ def _doors(config: Config) -> Iterator[str]:
         yield f"[server.{_key(key)}]"
         for name, value in msgspec.structs.asdict(table).items():
             yield f"# {name} is not set" if value is None else f"{_key(name)} = {toml_value(value)}"
+
+
+def _exports(config: Config) -> Iterator[str]:
+    """The tables below `[export]`; of the secret files no more than their paths."""
+    if config.export.nats is not None:
+        yield from ("", "[export.nats]")
+        table = msgspec.structs.asdict(config.export.nats.table) | {"outbox": str(config.export.nats.outbox)}
+        for key, value in table.items():
+            yield f"# {key} is not set" if value is None else f"{key} = {toml_value(value)}"
 
 
 def _live(robot: RobotSettings) -> Iterator[str]:
@@ -104,13 +115,16 @@ def json_schema(registry: Registry) -> Schema:
     """JSON Schema (draft 2020-12) of the configuration file, with the options of every vendor that can be loaded."""
     vendors = list(_loadable(registry))
     options = [protocol.options for vendor in vendors for protocol in vendor.protocols]
-    structs: list[type] = list(dict.fromkeys([Server, RobotTable, *options]))
+    structs: list[type] = list(dict.fromkeys([Server, *EXPORT_TABLES.values(), RobotTable, *options]))
     references, definitions = msgspec.json.schema_components(structs, ref_template=_REFERENCE)
     found: dict[type, Schema] = dict(zip(structs, references, strict=True))
     robot = definitions.pop(RobotTable.__name__)
     robot["properties"] = {key: _without_null(value) for key, value in robot["properties"].items()}
     server = definitions[Server.__name__]
     server["properties"] = {key: _without_null(value) for key, value in server["properties"].items()}
+    for table in EXPORT_TABLES.values():
+        one = definitions[table.__name__]
+        one["properties"] = {key: _without_null(value) for key, value in one["properties"].items()}
     robot["properties"]["vendor"]["enum"] = registry.names()
     keys = list(robot["properties"])
     robot["allOf"] = [
@@ -133,6 +147,12 @@ def json_schema(registry: Registry) -> Schema:
                 "default": [],
             },
             "server": found[Server],
+            "export": {
+                "description": "Where the gateway sends what it reads.",
+                "type": "object",
+                "properties": {name: found[table] for name, table in EXPORT_TABLES.items()},
+                "additionalProperties": False,
+            },
             "robots": {"type": "array", "items": {"$ref": _REFERENCE.format(name="Robot")}},
         },
         "additionalProperties": False,

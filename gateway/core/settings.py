@@ -69,3 +69,18 @@ class BrokenRobot:
     vendor: str
     protocol: str
     error: VendorError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ToldRobot:
+    """A robot that another gateway reads: what it says of it is all that is known here.
+
+    Args:
+        name: The first part of its topics, such as `cell1/r1`.
+        vendor: Name of the plugin there.
+        protocol: Name of the protocol there.
+    """
+
+    name: str
+    vendor: str
+    protocol: str

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import cast
 
 from aiohttp import web
 
 from gateway.api.describe import describe, group_schema
-from gateway.api.messages import Description, RobotInfo
+from gateway.api.messages import Description, ExportInfo, RobotInfo
 from gateway.api.model import GROUPS, Link, LinkStats, Sample
 from gateway.api.vendor import Protocol
 from gateway.core.bus import Bus, Topic
-from gateway.core.settings import BrokenRobot, RobotSettings
+from gateway.core.settings import BrokenRobot, RobotSettings, ToldRobot
 from gateway.server.fields import LEAF, Shape, has, nearest, shape_of, vendor_shape
 from gateway.server.wire import Encoding, sound_sample
 
-Robot = RobotSettings | BrokenRobot
+Robot = RobotSettings | BrokenRobot | ToldRobot
 
 _NAMED = 8  # so many globs or fields an error repeats
 
@@ -29,10 +29,12 @@ class Cell:
     Args:
         robots: As configured.
         bus: Where they are published.
+        exports: Tells how the exporters do.
     """
 
-    def __init__(self, robots: Iterable[Robot], bus: Bus) -> None:
+    def __init__(self, robots: Iterable[Robot], bus: Bus, exports: Callable[[], list[ExportInfo]] = list) -> None:
         self._robots = {robot.name: robot for robot in robots}
+        self._exports = exports
         self.bus = bus
         self._vendor_shapes: dict[int, tuple[Protocol, Shape]] = {}  # by the protocol's identity
 
@@ -55,6 +57,10 @@ class Cell:
     def scope(self) -> tuple[str, ...] | None:
         """Globs of the topics that may be seen; None: all."""
         return None
+
+    def exports(self) -> list[ExportInfo]:
+        """Where the cell is sent besides; of that nothing to who may not see all of it."""
+        return self._exports()
 
     def replace(self, robots: Iterable[Robot]) -> None:
         """Take other robots, as configured now; their topics are the bus's."""
@@ -81,7 +87,7 @@ class Cell:
         """What a topic holds."""
         robot = self.robots[topic.robot]
         group = topic.group.name
-        if isinstance(robot, BrokenRobot):
+        if not isinstance(robot, RobotSettings):
             return Description(topic=topic.name, delivery=topic.group.delivery, schema=group_schema(group))
         return describe(topic.name, group, robot.protocol.longest, robot.protocol.signals)
 
@@ -109,7 +115,7 @@ class Cell:
         robot = self.robots[topic.robot]
         if topic.group.struct is not None:
             return [shape_of(topic.group.struct)]
-        if isinstance(robot, BrokenRobot):
+        if not isinstance(robot, RobotSettings):
             return []
         protocol = robot.protocol
         found = self._vendor_shapes.get(id(protocol))
@@ -126,8 +132,8 @@ class Cell:
         counted = stats if isinstance(stats, LinkStats) else LinkStats()
         return RobotInfo(
             name=name,
-            vendor=robot.vendor if isinstance(robot, BrokenRobot) else robot.vendor.name,
-            protocol=robot.protocol if isinstance(robot, BrokenRobot) else robot.protocol.name,
+            vendor=robot.vendor.name if isinstance(robot, RobotSettings) else robot.vendor,
+            protocol=robot.protocol.name if isinstance(robot, RobotSettings) else robot.protocol,
             groups=[group for group, topic in known.items() if topic is not None],
             link=self._link(name),
             reject_counts=counted.rejects,

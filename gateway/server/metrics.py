@@ -15,7 +15,7 @@ from prometheus_client.exposition import choose_encoder
 from prometheus_client.registry import Collector
 
 from gateway import __version__
-from gateway.api.messages import RobotInfo
+from gateway.api.messages import ExportInfo, RobotInfo
 from gateway.api.model import LinkState, LinkStats
 from gateway.server.access import cell_of
 from gateway.server.answers import parameters
@@ -51,6 +51,14 @@ _TRAFFIC = (
     ("missed_samples", "Samples that clients asked for and did not get.", "missed_samples"),
     ("missed_events", "Events that clients asked for and that were gone.", "missed_events"),
     ("clients_sent_away", "Clients cut off because they did not read.", "sent_away"),
+)
+_OF = ("export",)
+_SENT = ("export", "kind")
+_EXPORTS: tuple[tuple[str, str, Callable[[ExportInfo], float]], ...] = (
+    ("export_connected", "1: the exporter has its server; 0: it has not.", lambda info: float(info.connected)),
+    ("export_waiting_events", "Events in its outbox.", lambda info: info.waiting_events),
+    ("export_waiting_bytes", "What they take.", lambda info: info.waiting_bytes),
+    ("export_lag_seconds", "Age of the oldest of them; 0: none waits.", lambda info: info.oldest or 0.0),
 )
 # What a door does not count: no series is better than one that stays 0.
 _UNCOUNTED = {("native", "missed_events"), ("native", "sent_away")}
@@ -90,6 +98,7 @@ class CellCollector(Collector):
         yield self._link_states(infos)
         yield from self._link_numbers(infos)
         yield from self._deliveries()
+        yield from self._exports()
         tasks = GaugeMetricFamily(f"{_PREFIX}tasks", "Tasks of the event loop.")
         tasks.add_metric([], _n_tasks())
         yield tasks
@@ -144,6 +153,27 @@ class CellCollector(Collector):
                 if (door, field) not in _UNCOUNTED:
                     family.add_metric([door], getattr(traffic, field))
             yield family
+
+    def _exports(self) -> Iterator[Metric]:
+        """What the exporters have sent and still owe; nothing where there is none."""
+        infos = self._cell.exports()
+        if not infos:
+            return
+        for name, text, value in _EXPORTS:
+            gauge = GaugeMetricFamily(_PREFIX + name, text, labels=["export"])
+            for info in infos:
+                gauge.add_metric([info.name], value(info))
+            yield gauge
+        sent = CounterMetricFamily(f"{_PREFIX}export_sent", "What was sent; of events: acknowledged.", labels=_SENT)
+        dropped = CounterMetricFamily(
+            f"{_PREFIX}export_dropped_events", "Events that will never arrive, since the outbox was made.", labels=_OF
+        )
+        for info in infos:
+            dropped.add_metric([info.name], info.dropped_events)
+            for kind, count in info.sent.items():
+                sent.add_metric([info.name, kind], count)
+        yield sent
+        yield dropped
 
     def _lag(self) -> Metric:
         bounds = [*(str(bound) for bound in LAG_BOUNDS_S), "+Inf"]

@@ -1,4 +1,4 @@
-/** The cards of all robots together: in the gateway's order, and none touched that stays. */
+/** The cards of all robots together: in the gateway's order, none touched that stays; those of a plant under the name of their cell. */
 
 import { el } from "./dom.js";
 
@@ -9,12 +9,18 @@ export function lay(deck, before, after, watch) {
     watch.unobserve(card.root);
     card.root.remove();
   }
-  for (const empty of deck.querySelectorAll(":scope > .empty")) empty.remove();
+  for (const old of deck.querySelectorAll(":scope > .empty, :scope > .cell-head")) old.remove();
   let at = deck.firstElementChild;
   for (const [name, card] of after) {
     if (card.root === at) at = at.nextElementSibling;
     else deck.insertBefore(card.root, at);
     if (before.get(name) !== card) watch.observe(card.root);
+  }
+  let group = "";
+  for (const [name, card] of after) {
+    const cell = name.slice(0, Math.max(0, name.indexOf("/"))); // of a plant: cell/robot
+    if (cell !== group) deck.insertBefore(el("h3", { class: "cell-head", text: cell }), card.root);
+    group = cell;
   }
 }
 
