@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import lru_cache
+from types import CodeType
 from typing import cast
 
 import msgspec
@@ -185,7 +187,7 @@ def _compile_read(words: Words, fast: str, slow: str, names: Mapping[str, object
     qualities = {"quality": quality, "quality_bad": model.Quality.BAD}
     tools = {"unpack": words.struct.unpack_from, "isfinite": math.isfinite, "finite": finite}
     scope = {**names, **shown, **qualities, **tools}
-    exec(compile(source, f"<reader of {words.layout.name}>", "exec"), scope)  # noqa: S102 - made of tables, see the top
+    exec(_code(source, f"<reader of {words.layout.name}>"), scope)  # noqa: S102 - made of tables, see the top
     return cast("Read", scope["read"])
 
 
@@ -210,5 +212,11 @@ def _compile_key(layout: Layout, sources: Iterable[str]) -> ReadKey:
     else:
         body = f"    ({''.join(refs)}) = unpack(frame.raw, frame.start)\n    return ({''.join(parts)})\n"
     scope: dict[str, object] = {"unpack": packing(layout, fields, _AS_BITS).unpack_from}
-    exec(compile(f"def key(frame):\n{body}", f"<key of {layout.name}>", "exec"), scope)  # noqa: S102 - made of tables
+    exec(_code(f"def key(frame):\n{body}", f"<key of {layout.name}>"), scope)  # noqa: S102 - made of tables
     return cast("ReadKey", scope["key"])
+
+
+@lru_cache(maxsize=256)
+def _code(source: str, name: str) -> CodeType:
+    """The code of a function: robots with the same frames share it, which is most of what a reader weighs."""
+    return compile(source, name, "exec")

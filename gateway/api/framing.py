@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -152,6 +153,8 @@ class FramedDecoder:
         self._starts = sorted({size for sizes in self._kinds.values() for size in sizes.layouts})
         self._buffer = b""
         self._length: int | None = None
+        order = "<" if framing.byteorder == "little" else ">"
+        self._length_of = struct.Struct(order + TYPES[framing.length_type][0]).unpack_from
         self._counter_at = framing.counter_at
         self._numbers = Numbers(COUNTER_MODULUS)
 
@@ -172,10 +175,11 @@ class FramedDecoder:
         size = len(buffer)
         at = dropped = 0
         reason = detail = ""
+        magic = self._framing.magic
         while at < size:
-            found = buffer.find(self._framing.magic, at)
+            found = buffer.find(magic, at)
             if found < 0:
-                found = _partial_magic(buffer, self._framing.magic, at)
+                found = _partial_magic(buffer, magic, at)
                 if found == at:
                     break  # the rest of the magic may follow
             if found != at:
@@ -227,9 +231,7 @@ class FramedDecoder:
         framing = self._framing
         if len(buffer) - at < framing.header:
             return None
-        start = at + framing.length_at
-        width = TYPES[framing.length_type][2]
-        return int.from_bytes(buffer[start : start + width], framing.byteorder) + framing.length_adds
+        return int(self._length_of(buffer, at + framing.length_at)[0]) + framing.length_adds
 
     def _frame_at(self, buffer: bytes, at: int) -> Frame | Skipped | _Wrong | None:
         """The frame that begins at `at`; what is wrong where none does; None while more bytes are needed."""

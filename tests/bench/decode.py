@@ -72,7 +72,7 @@ def _rows(plan: Plan, case: Case) -> Iterator[Row]:
 def case_of(registry: Registry, vendor: str, protocol: Protocol) -> Case:
     """What is timed of a protocol."""
     subject = Subject(registry.vendor(vendor), protocol, registry.folder(vendor))
-    vector = max(subject.states, key=lambda one: len(one.raw))
+    vector = max(subject.states, key=lambda one: (not _has_faults(subject, one), len(one.raw)))
     frame = the_frame(subject, vector)
     assert frame is not None
     decoder = opened(subject, vector)
@@ -111,6 +111,15 @@ def case_of(registry: Registry, vendor: str, protocol: Protocol) -> Case:
         "the vendor group": lambda: readers["vendor"].read(frame),
     }
     return Case(f"{vendor}:{protocol.name}", frame, calls, _baselines(subject, vector, frame, given))
+
+
+def _has_faults(subject: Subject, vector: Vector) -> bool:
+    """Whether a fault stands in the frame: the usual one has none."""
+    frame = the_frame(subject, vector)
+    if frame is None:
+        return True
+    reader = subject.normaliser({**_OPTIONS, **vector.options}).readers(frame.layout).get("status")
+    return reader is not None and bool(getattr(reader.read(frame)[0], "faults", None))
 
 
 def _baselines(

@@ -19,7 +19,7 @@ _LOOKS = 5
 
 
 def rows(plan: Plan) -> Iterator[Row]:
-    """Each beside a Python that has only imported what the gateway is made of; at the end, the gateway beside itself."""
+    """Each beside a Python that has only imported the same packages; at the end, the gateway beside itself."""
     idle, bare, loaded = [], [], []
     for _ in range(plan.rounds):
         with running(["-c", _BARE]) as process:

@@ -6,6 +6,8 @@ on an integrator may have the robot stop when the connection to one of these por
 
 from __future__ import annotations
 
+from zlib import adler32
+
 from gateway.api.framing import Checksum, Framing, Kind
 from gateway.api.layout import Layout
 from gateway.api.vendor import Protocol
@@ -24,8 +26,12 @@ _HAZARD = (
 
 
 def sum16(data: bytes) -> int:
-    """The vendor's sum check: all bytes before it, modulo 65536."""
-    return sum(data) & 0xFFFF
+    """The vendor's sum check: all bytes before it, modulo 65536.
+
+    Adler-32 has the sum of the bytes, and one, in its lower half: exact for 256 of them. A frame of 2 kB takes 1.7 µs
+    so, and 6.3 µs with `sum` over its bytes (ADR 0021).
+    """
+    return sum([(adler32(data[at : at + 256]) & 0xFFFF) - 1 for at in range(0, len(data), 256)]) & 0xFFFF
 
 
 def _framing(smallest_payload: int, *layouts: Layout) -> Framing:
