@@ -75,8 +75,8 @@ def main() -> None:
         print(f"\n{name}: {BENCHMARKS[name].title}", file=out, flush=True)
         run.benchmarks[name] = list(BENCHMARKS[name].rows(plan))
         print(block_of(run.benchmarks[name]), file=out, flush=True)
-    missed = [row for rows in run.benchmarks.values() for row in rows if row.met is False]
-    print(f"\n{len(missed)} goals missed" if missed else "\nevery goal met", file=out)
+    judged = [row.met for rows in run.benchmarks.values() for row in rows if row.met is not None]
+    print(f"\n{sum(judged)} of {len(judged)} goals met", file=out)
     if asked.json is not None:
         text = msgspec.json.format(msgspec.json.encode(run), indent=1) + b"\n"
         if asked.json == Path("-"):

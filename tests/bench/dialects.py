@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import socket
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import msgspec
 
@@ -88,11 +89,15 @@ def frames(data: bytes) -> Iterator[tuple[int, int, int]]:
         at = start + size
 
 
+RATED_HZ = 10.0
+_Wish = Mapping[str, object]
+
+
 def _ask_native(
-    encode: Callable[[object], bytes], opcode: int
+    encode: Callable[[object], bytes], opcode: int, wish: _Wish = MappingProxyType({"mode": "all"})
 ) -> Callable[[socket.socket, bytes, tuple[str, ...]], bytes]:
     def ask(sock: socket.socket, left: bytes, topics: tuple[str, ...]) -> bytes:
-        sock.sendall(masked(encode({"op": "subscribe", "id": 1, "topics": topics, "mode": "all"}), opcode))
+        sock.sendall(masked(encode({"op": "subscribe", "id": 1, "topics": topics, **wish}), opcode))
         return left
 
     return ask
@@ -127,5 +132,6 @@ DIALECTS = {
     "foxglove-msgpack": Dialect(marker=_MSGPACK, subprotocol="foxglove.sdk.v1", ask=_ask_foxglove),
     "websockets-json": Dialect(marker=_JSON),
     "websockets-msgpack": Dialect(marker=_MSGPACK),
+    "json-rated": Dialect(marker=_JSON, path="/ws", ask=_ask_native(msgspec.json.encode, _TEXT, {"rate_hz": RATED_HZ})),
     "relay": Dialect(marker=b"\xa5\xa5\x5a\x5a", path=None),
 }
