@@ -2,52 +2,137 @@
 
 from __future__ import annotations
 
+import dataclasses
+import os
 import signal
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Collection
 from contextlib import AsyncExitStack, asynccontextmanager
-from dataclasses import dataclass
 
 import anyio
+import anyio.to_thread
+import msgspec
 import structlog
 
 from gateway import __version__
+from gateway.api.messages import RobotInfo
 from gateway.api.vendor import Transport
 from gateway.config import Config
+from gateway.config.diff import Plan, as_run, diff, effective, understand
 from gateway.core.bus import Bus
 from gateway.core.clock import Clock, SystemClock
 from gateway.core.events import EventRing
-from gateway.core.link import Link, announce_broken
-from gateway.core.settings import BrokenRobot, RobotSettings
+from gateway.core.links import Links
+from gateway.core.settings import RobotSettings
 from gateway.core.tcp_server import TcpServer
 from gateway.core.transport import Connector, TcpClient
 from gateway.core.udp import UdpClient
+from gateway.errors import GatewayError
+from gateway.notify import Notifier
+from gateway.reloading import attended
 from gateway.server.cell import Cell
 from gateway.server.http import listening
+from gateway.server.listener import Listener
+from gateway.server.settings import door_settings
 
 _LOG = structlog.get_logger()
 # Where a robot's calls are taken whose options do not say.
 DEFAULT_LISTEN = "127.0.0.1"
+WAITS = "a new configuration waits for this session to end; to drop it now: robot-gateway reload --drop {name}"
 
 
-@dataclass(frozen=True, slots=True)
 class Gateway:
     """A running gateway.
 
+    Args:
+        config: What it runs.
+        bus: Its topics and events.
+        cell: What the doors know of the robots.
+        links: Its robots.
+        doors: Its listener.
+
     Attributes:
-        host: Where its doors are.
-        port: Their port.
         bus: Its topics and events.
     """
 
-    host: str
-    port: int
-    bus: Bus
+    def __init__(self, config: Config, bus: Bus, cell: Cell, links: Links, doors: Listener) -> None:
+        self.bus = bus
+        self._asked = config
+        self._runs = understand(config)
+        self._cell = cell
+        self._links = links
+        self._doors = doors
+        self._one_at_a_time = anyio.Lock()
+        self._freed = anyio.Event()
+
+    @property
+    def host(self) -> str:
+        """Where its doors are."""
+        return self._doors.host
+
+    @property
+    def port(self) -> int:
+        """Their port."""
+        return self._doors.port
 
     @property
     def url(self) -> str:
         """The native WebSocket door."""
         host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"ws://{host}:{self.port}/ws"
+        return f"{'ws' if self._asked.tls is None else 'wss'}://{host}:{self.port}/ws"
+
+    @property
+    def config(self) -> Config:
+        """The configuration that was asked for last, with the robots as they run."""
+        return dataclasses.replace(self._asked, robots=tuple(self._links.robots.values()))
+
+    def infos(self) -> list[RobotInfo]:
+        """Every robot with the state of its link."""
+        return self._cell.infos()
+
+    async def reload(self, config: Config, *, drop: Collection[str] = (), check: bool = False) -> Plan:
+        """Take another configuration: only what has changed is touched.
+
+        A robot with a session that must not be dropped keeps its old settings until the session ends by itself.
+
+        Args:
+            config: What to run now.
+            drop: Robots whose session is dropped all the same.
+            check: Only say what would be done.
+
+        Returns:
+            What was done.
+
+        Raises:
+            ListenError: The new address cannot be listened on: nothing has changed.
+        """
+        async with self._one_at_a_time:
+            new = await anyio.to_thread.run_sync(understand, config, abandon_on_cancel=True)
+            if not check:
+                await self._doors.apply(door_settings(config), *config.server.address)
+            plan = diff(self._runs, new, self._links.holding - set(drop))
+            if not check:
+                self.bus.resize(config.server.event_ring, config.server.command_ring)
+                await self._take_robots(plan, config)
+                self._asked, self._runs = config, as_run(plan, self._runs, new)
+            return msgspec.structs.replace(plan, warnings=list(config.warnings))
+
+    async def _take_robots(self, plan: Plan, config: Config) -> None:
+        robots = effective(plan, self._links.robots, config.robots)
+        await self._links.apply(robots, stopped=plan.stopped, before_start=lambda: self._cell.replace(robots))
+        self._links.wait({one.name: WAITS.format(name=one.name) for one in plan.held}, self._freed.set)
+
+    async def follow_up(self) -> None:
+        """Carry out what waits whenever a session has ended that it waited for, for ever."""
+        while True:
+            await self._freed.wait()
+            self._freed = anyio.Event()
+            try:
+                plan = await self.reload(self._asked)
+            except GatewayError as error:
+                _LOG.warning("reload.refused", reason=str(error))
+            else:
+                done = [robot.name for robot in (*plan.added, *plan.changed, *plan.removed)]
+                _LOG.info("reload.applied", reason="a session has ended", robots=done)
 
 
 def connector_of(robot: RobotSettings) -> Connector:
@@ -82,44 +167,43 @@ async def running(config: Config, clock: Clock | None = None) -> AsyncIterator[G
     Raises:
         ListenError: The listener could not be opened.
     """
-    clock = clock or SystemClock()
     bus = Bus(EventRing(config.server.event_ring), config.server.command_ring)
-    links = _links(config.robots, bus, clock)
-    host, asked_port = config.server.address
+    links = Links(config.robots, bus, clock or SystemClock(), connector_of)
+    cell = Cell(config.robots, bus)
     async with AsyncExitStack() as stack:
-        cell = Cell(config.robots, bus)
-        port = await stack.enter_async_context(listening(cell, host, asked_port, config.server.flush_ms / 1000))
-        _LOG.info("gateway.started", version=__version__, listen=f"{host}:{port}", robots=len(config.robots))
+        await stack.enter_async_context(links.running())
+        doors = await stack.enter_async_context(listening(cell, *config.server.address, door_settings(config)))
+        _LOG.info(
+            "gateway.started", version=__version__, listen=f"{doors.host}:{doors.port}", robots=len(config.robots)
+        )
+        gateway = Gateway(config, bus, cell, links, doors)
         tasks = await stack.enter_async_context(anyio.create_task_group())
-        for link in links:
-            tasks.start_soon(link.run)
+        tasks.start_soon(gateway.follow_up)
+        links.start()
         try:
-            yield Gateway(host, port, bus)
+            yield gateway
         finally:
             tasks.cancel_scope.cancel()
+            links.stop()  # while the doors close
             _LOG.info("gateway.stopped")
 
 
 async def run_until_signal(config: Config, ready: Callable[[Gateway], None] = lambda _: None) -> None:
-    """Run the gateway until SIGINT or SIGTERM.
+    """Run the gateway until SIGINT or SIGTERM; SIGHUP reads its configuration again.
 
     Args:
         config: What to run.
         ready: Called when the doors are open.
     """
-    with anyio.open_signal_receiver(signal.SIGINT, signal.SIGTERM) as signals:
-        async with running(config) as gateway:
+    notifier = Notifier.of_environment(os.environ)
+    with anyio.open_signal_receiver(signal.SIGINT, signal.SIGTERM, signal.SIGHUP) as signals:
+        async with running(config) as gateway, attended(gateway, notifier, os.environ) as on_hangup:
             ready(gateway)
+            notifier.ready()
             async for number in signals:
-                _LOG.info("gateway.stopping", reason=signal.Signals(number).name)
-                return
-
-
-def _links(robots: Sequence[RobotSettings | BrokenRobot], bus: Bus, clock: Clock) -> list[Link]:
-    links = []
-    for robot in robots:
-        if isinstance(robot, BrokenRobot):
-            announce_broken(robot, bus, clock)
-        else:
-            links.append(Link(robot, connector_of(robot), bus, clock))
-    return links
+                if number is signal.SIGHUP:
+                    on_hangup()
+                else:
+                    _LOG.info("gateway.stopping", reason=signal.Signals(number).name)
+                    notifier.stopping()
+                    return

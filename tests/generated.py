@@ -13,6 +13,7 @@ from gateway.server.openapi import openapi_text
 from tests.asyncapi import asyncapi
 from tests.coverage_page import coverage_page
 from tests.documents import model_page
+from tests.man_page import man_page
 
 ROOT = Path(__file__).parents[1]
 
@@ -28,6 +29,7 @@ def generated() -> dict[Path, str]:
         ROOT / "docs" / "coverage.md": coverage_page(registry),
         ROOT / "docs" / "model.md": model_page(),
         ROOT / "docs" / "openapi.json": openapi_text(),
+        ROOT / "packaging" / "robot-gateway.1": man_page(),
     }
 
 

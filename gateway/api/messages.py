@@ -16,6 +16,8 @@ from gateway.api.model import Event, Link, Sample
 JSON_SUBPROTOCOL = "robot-gateway.v1+json"
 MSGPACK_SUBPROTOCOL = "robot-gateway.v1+msgpack"
 PROTOCOL_VERSION = 1
+# Offered besides one of these with the token behind it; never the one that the gateway picks.
+TOKEN_SUBPROTOCOL = "bearer."  # noqa: S105 - what comes before a token is none
 
 MAX_MESSAGE_BYTES = 65_536
 MAX_SUBSCRIPTIONS = 64
@@ -25,6 +27,7 @@ MAX_EVENTS = 10_000
 Id = Annotated[int | str, Meta(description="Chosen by the client; stands in the answer.")]
 Globs = Annotated[list[str], Meta(min_length=1, max_length=256, description="Topic globs: */joints, r1/*.")]
 Mode = Literal["latest", "all"]
+AccessMode = Literal["loopback", "tokens", "insecure"]
 Name = Annotated[str, Meta(description="Name of an event, boot:seq: read on after it.")]
 Since = Name | Annotated[list[Name], Meta(min_length=1, max_length=256, description="One name for each ring.")]
 
@@ -136,6 +139,10 @@ class Welcome(msgspec.Struct, tag_field="op", tag="welcome", frozen=True, kw_onl
     robots: list[str]
     last_event: Annotated[str, Meta(description="Name of the newest event.")]
     limits: Limits
+    access: Annotated[
+        AccessMode,
+        Meta(description="Who is let in: programs of this machine, who has a token, or everybody without one."),
+    ] = "loopback"
 
 
 class Data(msgspec.Struct, tag_field="op", tag="data", frozen=True, kw_only=True):

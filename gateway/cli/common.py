@@ -1,10 +1,11 @@
-"""What several commands share: the option that names a gateway, the terminal, and how failures end."""
+"""What several commands share: the options that lead to a gateway, the terminal, and how failures end."""
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
+from pathlib import Path
 from typing import Annotated, NoReturn
 
 import anyio
@@ -12,6 +13,7 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
+from gateway.client import ClientError, TrustError, Way, trusting, way_to
 from gateway.errors import GatewayError
 
 DEFAULT_URL = "ws://127.0.0.1:8765/ws"
@@ -23,6 +25,57 @@ Url = Annotated[
     str,
     typer.Option("--url", envvar="ROBOT_GATEWAY_URL", help="WebSocket door of the gateway.", metavar="URL"),
 ]
+TokenFile = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="File with the token that the gateway asks for; without it $ROBOT_GATEWAY_TOKEN, or the file that "
+        "$ROBOT_GATEWAY_TOKEN_FILE names. No option takes the token itself: all users of a machine see options.",
+    ),
+]
+Ca = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        envvar="ROBOT_GATEWAY_CA",
+        help="For wss addresses: trust the certificates in this file only, such as the gateway's self-signed one.",
+    ),
+]
+_LONGEST_FILE = 4096  # bytes; what is longer is no token
+
+
+def way(
+    url: str, token_file: Path | None = None, ca: Path | None = None, environ: Mapping[str, str] = os.environ
+) -> Way:
+    """The way to the gateway that the options and the environment name; ends the command where there is none."""
+    try:
+        return way_to(url, _token(token_file, environ), None if ca is None else trusting(ca))
+    except ClientError as error:
+        fail(error.reason, USAGE)
+    except TrustError as error:
+        fail(f"--ca {error}", USAGE)
+
+
+def _token(file: Path | None, environ: Mapping[str, str]) -> str | None:
+    """What the gateway may ask for; None: nothing was given."""
+    if file is None:
+        said = environ.get("ROBOT_GATEWAY_TOKEN", "").strip()
+        if said:
+            return said
+        named = environ.get("ROBOT_GATEWAY_TOKEN_FILE")
+        if not named:
+            return None
+        file = Path(named)
+    try:
+        with file.open("rb") as opened:
+            words = opened.read(_LONGEST_FILE).decode().split()
+    except OSError as error:
+        fail(f"token file {file}: {error.strerror or error}", USAGE)
+    except UnicodeDecodeError:
+        words = []
+    if len(words) != 1:
+        fail(f"token file {file}: it should hold one token and nothing else, such as rgw_…", USAGE)
+    return words[0]
 
 
 def terminal() -> Console:

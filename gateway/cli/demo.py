@@ -29,7 +29,7 @@ from gateway.config.printing import toml_value
 from gateway.core.registry import Registry
 from gateway.core.settings import BrokenRobot, RobotSettings
 from gateway.errors import ConfigError, VendorError
-from gateway.server.http import ListenError
+from gateway.server.listener import ListenError
 from gateway.sim.server import SimulatorError, VirtualController, serve
 from gateway.sim.simulator import Simulator
 

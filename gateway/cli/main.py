@@ -16,14 +16,18 @@ from gateway import __version__
 _COMMANDS = {
     "run": ("gateway.cli.run", "run"),
     "check": ("gateway.cli.check", "check"),
+    "reload": ("gateway.cli.reload", "reload"),
     "status": ("gateway.cli.status", "status"),
+    "health": ("gateway.cli.health", "health"),
     "tail": ("gateway.cli.tail", "tail"),
     "probe": ("gateway.cli.probe", "probe_command"),
     "vendors": ("gateway.cli.vendors", "vendors"),
     "vendor-check": ("gateway.cli.vendor_check", "vendor_check"),
     "validate": ("gateway.cli.validate", "app"),
     "simulate": ("gateway.cli.simulate", "app"),
+    "token": ("gateway.cli.token", "app"),
     "demo": ("gateway.cli.demo", "demo"),
+    "service": ("gateway.cli.service", "app"),
 }
 _HELP = """Reads every robot controller in the cell and serves one honest stream.
 

@@ -34,6 +34,7 @@ def run(
     """Run the gateway until it is told to stop (SIGINT, SIGTERM).
 
     Robots that do not answer are no error: they are tried again for ever. Exit code 78: the configuration is wrong.
+    SIGHUP reads the configuration again, as `robot-gateway reload` does.
 
     \b
     Examples:

@@ -14,12 +14,12 @@ import typer
 
 from gateway.api.messages import RobotInfo
 from gateway.api.model import LinkState, Sample
-from gateway.cli.common import DEFAULT_URL, USAGE, Url, call, fail, terminal
+from gateway.cli.common import DEFAULT_URL, USAGE, Ca, TokenFile, Url, call, fail, tell, terminal, way
 from gateway.cli.measured import Measured
-from gateway.cli.view import robots_table
+from gateway.cli.view import INSECURE, robots_table
 from gateway.cli.watch import watch as watch_cell
 from gateway.cli.why import explain
-from gateway.client import Client, connect
+from gateway.client import Client, Way, connect
 
 
 def status(
@@ -33,16 +33,20 @@ def status(
         str | None,
         typer.Option(metavar="ROBOT", help="Explain one robot's link: what happened, and what to check next."),
     ] = None,
+    token_file: TokenFile = None,
+    ca: Ca = None,
 ) -> None:
     """Show every robot of a running gateway: link, rate, power, motion, program and safety.
 
-    A dash means: this robot cannot tell. Exit code 1: no gateway answers, or it has no such robot.
+    A dash means: this robot cannot tell. With a token only its robots are shown. Exit code 1: no gateway answers, or it
+    has no such robot.
 
     \b
     Examples:
       robot-gateway status
       robot-gateway status --watch
       robot-gateway status --why r1
+      robot-gateway status --url wss://cell-7:8765/ws --token-file hmi.token
       robot-gateway status --json | jq '.[] | [.name, .link.state]'
     """  # noqa: D301 - the \b keeps the lines apart
     if watch and as_json:
@@ -52,16 +56,18 @@ def status(
         )
     if why is not None and (watch or as_json):
         fail("--why explains one robot to people, once: leave out --watch and --json", USAGE)
+    gateway = way(url, token_file, ca)
     if why is not None:
-        call(partial(_why, url, why))
+        call(partial(_why, gateway, why))
     elif watch:
-        call(partial(watch_cell, url))
+        call(partial(watch_cell, gateway))
     else:
-        call(partial(_once, url, as_json=as_json))
+        call(partial(_once, gateway, as_json=as_json))
 
 
-async def _once(url: str, *, as_json: bool) -> None:
-    async with connect(url) as client:
+async def _once(gateway: Way, *, as_json: bool) -> None:
+    async with connect(gateway) as client:
+        _warn(client)
         robots, latest = await _ask(client)
     if as_json:
         shown = [
@@ -78,8 +84,15 @@ async def _once(url: str, *, as_json: bool) -> None:
     console.print(robots_table(robots, latest, _now_us(), console.width))
 
 
-async def _why(url: str, name: str) -> None:
-    async with connect(url) as client:
+def _warn(client: Client) -> None:
+    """Say again what the gateway was told in its configuration; on stderr, where it is in no program's way."""
+    if client.welcome.access == "insecure":
+        tell("insecure:", "yellow", INSECURE)
+
+
+async def _why(gateway: Way, name: str) -> None:
+    async with connect(gateway) as client:
+        _warn(client)
         robots = {robot.name: robot for robot in await client.robots()}
         robot = robots.get(name)
         measured = None

@@ -15,9 +15,9 @@ import typer
 
 from gateway.api.messages import MAX_RATE_HZ, Missed, Mode
 from gateway.api.model import Event, Quality, Sample
-from gateway.cli.common import DEFAULT_URL, USAGE, Url, call, fail, tell
+from gateway.cli.common import DEFAULT_URL, USAGE, Ca, TokenFile, Url, call, fail, tell, way
 from gateway.cli.view import event_line, flat, sample_lines, units_of
-from gateway.client import Client, ClientError, Connected, Disconnected, Follower, Item, Refused, follow
+from gateway.client import Client, ClientError, Connected, Disconnected, Follower, Item, Refused, Way, follow
 
 _DEFAULT_TOPICS = ["*/joints", "*/events"]
 _DEFAULT_RATE_HZ = 5.0
@@ -60,6 +60,8 @@ def tail(
     count: Count = None,
     since: Since = None,
     url: Url = DEFAULT_URL,
+    token_file: TokenFile = None,
+    ca: Ca = None,
 ) -> None:
     """Follow live samples and events until Ctrl-C, through every cut: events go on where they stopped.
 
@@ -80,12 +82,13 @@ def tail(
     if not every and not 0 < rate <= MAX_RATE_HZ:
         fail(f"--rate {rate:g}: a rate is above 0 and at most {MAX_RATE_HZ:g}; --all gives every sample", USAGE)
     chosen = None if fields is None else [field.strip() for field in fields.split(",")]
-    follow = partial(_follow, url, wanted, Printer(format_, count), fields=chosen, since=since)
+    gateway = way(url, token_file, ca)
+    follow = partial(_follow, gateway, wanted, Printer(format_, count), fields=chosen, since=since)
     call(partial(follow, rate_hz=None if every else rate, mode="all" if every else "latest"))
 
 
 async def _follow(
-    url: str,
+    gateway: Way,
     topics: list[str],
     printer: Printer,
     *,
@@ -94,7 +97,7 @@ async def _follow(
     fields: list[str] | None,
     since: list[str] | None,
 ) -> None:
-    async with follow(url, patient=False, typed=False) as follower:
+    async with follow(gateway, patient=False, typed=False) as follower:
         await follower.subscribe(topics, rate_hz=rate_hz, mode=mode, fields=fields, since=since)
         async for item in follower:
             if isinstance(item, Connected):

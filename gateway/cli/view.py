@@ -15,6 +15,7 @@ from gateway.api.messages import RobotInfo
 from gateway.api.model import Event, EventKind, LinkState, Sample
 
 UNKNOWN = "–"  # noqa: RUF001 - a dash, as in print
+INSECURE = "whoever reaches the address of this gateway may read it: it asks for no token"
 _GOOD = "green"
 _COLOURS = {
     "ONLINE": _GOOD,

@@ -17,14 +17,25 @@ from rich.styled import Styled
 from rich.text import Text
 
 from gateway.api.messages import RobotInfo
-from gateway.api.model import Link, LinkStats, Sample
+from gateway.api.model import Event, Link, LinkStats, Sample
 from gateway.cli.common import terminal
-from gateway.cli.view import robots_table
-from gateway.client import Client, ClientError, Connected, Disconnected, Follower, Item, follow, typed
+from gateway.cli.view import INSECURE, robots_table
+from gateway.client import (
+    Client,
+    ClientError,
+    Connected,
+    Disconnected,
+    Follower,
+    Item,
+    RequestError,
+    Way,
+    follow,
+    typed,
+)
 
 _REFRESH_S = 0.5
 _BLOCK_S = 1.0
-_TOPICS = ("*/link", "*/link_stats", "*/status", "*/safety")
+_TOPICS = ("*/link", "*/link_stats", "*/status", "*/safety", "*/events")
 
 
 @dataclass(slots=True)
@@ -35,17 +46,25 @@ class Seen:
         robots: By name, in the order of the configuration.
         latest: The status and safety samples by topic.
         lost: Why there is no connection; None: there is one.
+        insecure: Whether the gateway lets anyone in.
     """
 
     robots: dict[str, RobotInfo] = field(default_factory=dict)
     latest: dict[str, Sample] = field(default_factory=dict)
     lost: str | None = "connecting …"
+    insecure: bool = False
 
-    def connected(self, robots: list[RobotInfo]) -> None:
+    def connected(self, robots: list[RobotInfo], *, insecure: bool) -> None:
         """A connection has begun: nothing of before counts."""
-        self.robots = {robot.name: robot for robot in robots}
         self.latest.clear()
         self.lost = None
+        self.insecure = insecure
+        self.has(robots)
+
+    def has(self, robots: list[RobotInfo]) -> None:
+        """The cell has these robots now."""
+        self.robots = {robot.name: robot for robot in robots}
+        self.latest = {name: sample for name, sample in self.latest.items() if name.rpartition("/")[0] in self.robots}
 
     def take(self, item: Item) -> None:
         """Take what has come."""
@@ -70,6 +89,8 @@ class Seen:
     def picture(self, now_us: int, width: int) -> RenderableType:
         """The cell as it is, or as it was, which it says."""
         table = robots_table(self.robots.values(), self.latest, now_us, width)
+        if self.insecure:
+            table = Group(table, Text.assemble(("insecure: ", "yellow"), INSECURE))
         if self.lost is None:
             return table
         said = Text(f"no connection: {self.lost} - trying again", style="red")
@@ -78,12 +99,13 @@ class Seen:
         return Group(said, Text("What follows is old.", style="bold"), Styled(table, "dim"))
 
 
-async def watch(url: str) -> None:
+async def watch(gateway: Way) -> None:
     """Show the cell until cancelled; a gateway that goes away is waited for."""
     console = terminal()
     seen = Seen()
-    async with follow(url, typed=False) as follower, anyio.create_task_group() as tasks:
-        await follower.subscribe(_TOPICS, rate_hz=1 / _REFRESH_S)
+    async with follow(gateway, typed=False) as follower, anyio.create_task_group() as tasks:
+        for topic in _TOPICS:
+            await _subscribe(follower, topic)
         tasks.start_soon(_keep_up, follower, seen)
         if sys.stdout.isatty():
             await _show(console, seen)
@@ -93,19 +115,35 @@ async def watch(url: str) -> None:
         tasks.cancel_scope.cancel()
 
 
+async def _subscribe(follower: Follower, topic: str) -> None:
+    try:
+        await follower.subscribe([topic], rate_hz=1 / _REFRESH_S)
+    except RequestError as error:
+        if error.code != "UNKNOWN_TOPIC":  # no robot has it, or a token is not for it
+            raise
+
+
 async def _keep_up(follower: Follower, seen: Seen) -> None:
     async for item in follower:
         if isinstance(item, Connected) and follower.client is not None:
             await _begin(follower.client, seen)
+        elif isinstance(item, Event) and item.kind.startswith("robot.") and follower.client is not None:
+            await _look_again(follower.client, seen)
         else:
             seen.take(item)
 
 
 async def _begin(client: Client, seen: Seen) -> None:
     try:
-        seen.connected(await client.robots())
+        seen.connected(await client.robots(), insecure=client.welcome.access == "insecure")
     except ClientError as error:
         seen.lost = error.reason
+
+
+async def _look_again(client: Client, seen: Seen) -> None:
+    """The gateway has taken a new configuration."""
+    with contextlib.suppress(ClientError):  # gone, which the next item says
+        seen.has(await client.robots())
 
 
 async def _show(console: Console, seen: Seen) -> None:

@@ -11,9 +11,10 @@ only its message structs.
 
 from __future__ import annotations
 
-from gateway.client.connection import Client, ClientError, Pushed, RequestError, connect
+from gateway.client.connection import Client, Pushed, RequestError, connect
 from gateway.client.following import Connected, Disconnected, Follower, Item, Refused, follow
 from gateway.client.typed import typed
+from gateway.client.way import ClientError, TrustError, Way, trusting, way_to
 
 __all__ = [
     "Client",
@@ -25,7 +26,11 @@ __all__ = [
     "Pushed",
     "Refused",
     "RequestError",
+    "TrustError",
+    "Way",
     "connect",
     "follow",
+    "trusting",
     "typed",
+    "way_to",
 ]

@@ -14,6 +14,7 @@ import itertools
 from collections import deque
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
+from ssl import SSLContext
 from typing import TypeVar
 
 import aiohttp
@@ -22,6 +23,7 @@ import msgspec
 
 from gateway.api import messages
 from gateway.api.model import Event, Sample
+from gateway.client.way import NOT_A_GATEWAY, ClientError, Way, failure, way_to
 from gateway.errors import GatewayError
 
 _CONNECT_S = 3.0
@@ -29,26 +31,9 @@ _HEARTBEAT_S = 30.0
 _CLOSE_S = 1.0
 _ENCODER = msgspec.json.Encoder()
 _DECODER: msgspec.json.Decoder[messages.Response] = msgspec.json.Decoder(messages.Response)
-_NOT_A_GATEWAY = "it answers, but not as a gateway does: is this the right port?"
 _SILENT = f"no gateway answers: nothing came within {_CONNECT_S:g} s; is this the right port?"
 Pushed = messages.Data | messages.EventMessage | messages.Missed
 _Part = TypeVar("_Part")
-
-
-class ClientError(GatewayError):
-    """The gateway cannot be reached, or the connection to it has ended.
-
-    Attributes:
-        url: Where it should be.
-        reason: What happened and what to do.
-        lasting: Whether trying again is of no use.
-    """
-
-    def __init__(self, url: str, reason: str, *, lasting: bool = False) -> None:
-        super().__init__(f"{url}: {reason}")
-        self.url = url
-        self.reason = reason
-        self.lasting = lasting
 
 
 class RequestError(GatewayError):
@@ -86,7 +71,7 @@ class Client:
         """
         first = await self._receive()
         if not isinstance(first, messages.Welcome):
-            raise ClientError(self._url, _NOT_A_GATEWAY)
+            raise ClientError(self._url, NOT_A_GATEWAY)
         self.welcome = first
 
     async def robots(self) -> list[messages.RobotInfo]:
@@ -195,46 +180,57 @@ class Client:
         try:
             return _DECODER.decode(message.data)
         except msgspec.DecodeError:
-            raise ClientError(self._url, _NOT_A_GATEWAY) from None
+            raise ClientError(self._url, NOT_A_GATEWAY) from None
 
 
 @asynccontextmanager
-async def connect(url: str, *, heartbeat_s: float = _HEARTBEAT_S) -> AsyncIterator[Client]:
+async def connect(
+    url: str | Way,
+    *,
+    token: str | None = None,
+    ssl: SSLContext | None = None,
+    heartbeat_s: float = _HEARTBEAT_S,
+) -> AsyncIterator[Client]:
     """Connect to the native door of a gateway.
 
     Args:
-        url: Such as `ws://127.0.0.1:8765/ws`.
+        url: Such as `ws://127.0.0.1:8765/ws` or `wss://cell-7:8765/ws`; or a way made by `way_to`.
+        token: For a gateway that asks for one.
+        ssl: Whom to trust in a `wss` connection, such as `trusting("cell-7.pem")`; None: whom this machine trusts.
         heartbeat_s: How often the connection is tried out; one that has died is noticed within one and a half of it.
 
     Raises:
-        ClientError: It cannot be reached.
+        ClientError: It cannot be reached, or does not let this client in.
     """
+    way = url if isinstance(url, Way) else way_to(url, token, ssl)
     async with aiohttp.ClientSession(timeout=aiohttp.ClientTimeout(total=None)) as session:
         with anyio.move_on_after(_CONNECT_S) as patience:
-            socket = await _open(session, url, heartbeat_s)
+            socket = await _open(session, way, heartbeat_s)
         if patience.cancelled_caught:
-            raise ClientError(url, _SILENT)
+            raise ClientError(way.url, _SILENT)
         async with socket:
-            client = Client(socket, url)
+            client = Client(socket, way.url)
             with anyio.move_on_after(_CONNECT_S) as patience:
                 await client.greet()
             if patience.cancelled_caught:
-                raise ClientError(url, _SILENT)
+                raise ClientError(way.url, _SILENT)
             yield client
 
 
-async def _open(session: aiohttp.ClientSession, url: str, heartbeat_s: float) -> aiohttp.ClientWebSocketResponse:
+async def _open(session: aiohttp.ClientSession, way: Way, heartbeat_s: float) -> aiohttp.ClientWebSocketResponse:
     try:
         return await session.ws_connect(
-            url,
+            way.url,
             protocols=(messages.JSON_SUBPROTOCOL,),
+            headers=way.headers,
+            ssl=True if way.ssl is None else way.ssl,
             max_msg_size=0,
             heartbeat=heartbeat_s,
             timeout=aiohttp.ClientWSTimeout(ws_close=_CLOSE_S),
         )
     except (aiohttp.ClientError, OSError, ValueError) as error:
-        lasting = isinstance(error, aiohttp.InvalidURL | aiohttp.NonHttpUrlClientError | ValueError)
-        raise ClientError(url, _advice(error), lasting=lasting) from None
+        failed = failure(way, error)
+    raise failed  # out here it has no context: aiohttp's own error holds the headers, and the token in them
 
 
 def _farewell(message: aiohttp.WSMessage) -> str:
@@ -244,26 +240,6 @@ def _farewell(message: aiohttp.WSMessage) -> str:
     if message.data == aiohttp.WSCloseCode.INTERNAL_ERROR:
         return " with an internal error of the gateway, see its log"
     return f": {message.extra or 'the gateway has gone'}"
-
-
-def _advice(error: Exception) -> str:
-    """Say why a gateway cannot be reached, and what to do."""
-    match error:
-        case aiohttp.InvalidURL() | aiohttp.NonHttpUrlClientError() | ValueError():
-            return "not an address of a gateway; one looks like ws://127.0.0.1:8765/ws"
-        case aiohttp.WSServerHandshakeError(status=404):
-            return "a server answers, but it has no such door (HTTP 404): the path of a gateway is /ws"
-        case aiohttp.WSServerHandshakeError(status=403):
-            return "the gateway refuses this address (HTTP 403): use localhost or 127.0.0.1 on the same machine"
-        case aiohttp.WSServerHandshakeError():
-            return f"refused with HTTP status {error.status}: is this the right port and path?"
-        case aiohttp.ClientSSLError():
-            return "it does not speak TLS: use ws:// instead of wss://"
-        case aiohttp.ClientConnectorDNSError():
-            return "there is no host of that name"
-        case aiohttp.ClientConnectorError():
-            return "no gateway answers: start one with `robot-gateway run`, or name another with --url"
-    return _NOT_A_GATEWAY
 
 
 def _part(part: _Part | None) -> _Part:

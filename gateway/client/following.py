@@ -10,14 +10,16 @@ from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
+from ssl import SSLContext
 
 import anyio
 
 from gateway.api import messages
 from gateway.api.model import Event, Sample
-from gateway.client.connection import Client, ClientError, Pushed, RequestError, connect
+from gateway.client.connection import Client, Pushed, RequestError, connect
 from gateway.client.rings import Rings, boots_of
 from gateway.client.typed import typed as as_typed
+from gateway.client.way import ClientError, Way, way_to
 
 _HEARTBEAT_S = 5.0
 _FIRST_DELAY_S = 0.2
@@ -107,8 +109,9 @@ class Follower:
         missed_events: How many events are lost so far; None: their number is not known.
     """
 
-    def __init__(self, url: str, *, typed: bool, delays: Callable[[], Iterator[float]]) -> None:
-        self._url = url
+    def __init__(self, way: Way, *, typed: bool, delays: Callable[[], Iterator[float]]) -> None:
+        self._way = way
+        self._welcomed = False  # whether there ever was a connection
         self._typed = typed
         self._new_delays = delays
         self._delays = delays()
@@ -160,7 +163,8 @@ class Follower:
         """The next sample, event or word about the connection.
 
         Raises:
-            ClientError: The address is none.
+            ClientError: It has never been connected, and what is in the way will not go by itself: the address is none,
+                or the gateway's certificate or the client's token is not accepted.
         """
         while not self._ready:
             if self.client is None:
@@ -181,16 +185,17 @@ class Follower:
         """
         try:
             async with AsyncExitStack() as stack:
-                client = await stack.enter_async_context(connect(self._url, heartbeat_s=_HEARTBEAT_S))
+                client = await stack.enter_async_context(connect(self._way, heartbeat_s=_HEARTBEAT_S))
                 refused = await self._subscribe_again(client)
                 self._stack = stack.pop_all()
         except ClientError as error:
-            if not patient or error.lasting:
+            if not patient or (error.lasting and not self._welcomed):  # a token may be let in again, once it was
                 raise
             self._attempts += 1
             self._wait(error.reason)
             return
         self.client = client
+        self._welcomed = True
         self._attempts = 0
         self._ready.append(Connected(client.welcome))
         self._ready.extend(refused)
@@ -264,8 +269,10 @@ class Follower:
 
 @asynccontextmanager
 async def follow(
-    url: str,
+    url: str | Way,
     *,
+    token: str | None = None,
+    ssl: SSLContext | None = None,
     patient: bool = True,
     typed: bool = True,
     delays: Callable[[], Iterator[float]] = backoff,
@@ -273,15 +280,19 @@ async def follow(
     """Follow a gateway for as long as the context lasts, through every cut.
 
     Args:
-        url: Such as `ws://127.0.0.1:8765/ws`.
+        url: Such as `ws://127.0.0.1:8765/ws` or `wss://cell-7:8765/ws`; or a way made by `way_to`.
+        token: For a gateway that asks for one.
+        ssl: Whom to trust in a `wss` connection, such as `trusting("cell-7.pem")`; None: whom this machine trusts.
         patient: Whether a gateway that is not there yet is waited for; later cuts are waited for in any case.
         typed: Whether the data of samples is the model's struct of its group (`Joints`, `Status` …) where it is whole.
         delays: Makes the delays between attempts, in s; begun anew whenever something was received.
 
     Raises:
-        ClientError: The address is none, or nobody answers and that is not waited for.
+        ClientError: The address is none, the gateway's certificate or this client's token is not accepted, or nobody
+            answers and that is not waited for.
     """
-    follower = Follower(url, typed=typed, delays=delays)
+    way = url if isinstance(url, Way) else way_to(url, token, ssl)
+    follower = Follower(way, typed=typed, delays=delays)
     try:
         await follower.open(patient=patient)
         yield follower

@@ -33,12 +33,85 @@ IoGlob = Annotated[
 ]
 
 
+HostName = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]{0,252}(?!\n)$")]
+# As a browser writes it: no path, not even a slash at the end.
+WebOrigin = Annotated[str, Meta(pattern=r"^(\*|[A-Za-z][A-Za-z0-9+.-]{0,31}://[^/?#@\s]{1,255})(?!\n)$")]
+
+
+class Tls(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The table `[server.tls]`: what the listener shows to clients."""
+
+    certificate: Annotated[
+        str, Meta(description="File with the certificate and its chain, PEM.", extra={"says": "a file, in quotes"})
+    ]
+    key: Annotated[
+        str, Meta(description="File with its key, PEM, without a password.", extra={"says": "a file, in quotes"})
+    ]
+
+
+class PeerLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The table `[server.limits]`: how much one address may ask for. A proxy is one address."""
+
+    connections: Annotated[int, Meta(ge=1, le=1_000_000, description="Open connections of one address.")] = 1000
+    handshakes_per_s: Annotated[
+        float,
+        Meta(
+            ge=0.1,
+            le=1_000_000,
+            description="Requests of one address in a second; after a rest five seconds' worth at once.",
+        ),
+    ] = 1000.0
+    messages_per_s: Annotated[
+        float,
+        Meta(
+            ge=0.1,
+            le=1_000_000,
+            description="Messages of one address in a second over all its WebSockets; faster ones are read later.",
+        ),
+    ] = 2000.0
+    subscriptions: Annotated[
+        int, Meta(ge=1, le=10_000_000, description="Subscriptions of one address over all its connections.")
+    ] = 20_000
+
+
 class Server(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The table `[server]`: the one listener and what it sends."""
 
     listen: Annotated[
-        str, Meta(description="Address and port of the listener. Only this machine: 127.0.0.1, [::1] or localhost.")
+        str,
+        Meta(description="Address and port of the listener. Any but 127.0.0.1, [::1] and localhost needs tokens."),
     ] = "127.0.0.1:8765"
+    insecure: Annotated[
+        bool, Meta(description="Let everybody who reaches the listener read everything, without a token.")
+    ] = False
+    tokens: Annotated[
+        str | None, Meta(description="File of tokens, as robot-gateway token makes it. Not set: nobody needs one.")
+    ] = None
+    allowed_hosts: Annotated[
+        list[HostName],
+        Meta(
+            max_length=256,
+            description="Names by which browsers reach this machine, besides localhost; addresses need not be named.",
+            extra={"says": 'a list of host names such as ["cell.example.com"], without a port'},
+        ),
+    ] = []
+    allowed_origins: Annotated[
+        list[WebOrigin],
+        Meta(
+            max_length=256,
+            description="Pages of other sites that may read; with tokens * stands for all.",
+            extra={"says": 'a list of origins such as ["https://hmi.example.com:8443"], without a path'},
+        ),
+    ] = []
+    tls: Annotated[Tls | None, Meta(description="Certificate and key. Not set: the doors speak in the clear.")] = None
+    limits: PeerLimits = PeerLimits()
+    control: Annotated[
+        str | None,
+        Meta(
+            description="Path of the control socket. Not set: in the folder that the service manager or the user has.",
+            extra={"says": "a path, in quotes"},
+        ),
+    ] = None
     flush_ms: Annotated[
         float,
         Meta(ge=0, le=1000, description="How long samples are gathered into one message; 0: one turn of the loop."),
@@ -58,6 +131,10 @@ class Server(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             ValueError: It is not written as host:port.
         """
         return split_listen(self.listen)
+
+
+# The tables below [server], by their keys.
+SERVER_TABLES: dict[str, type[msgspec.Struct]] = {"tls": Tls, "limits": PeerLimits}
 
 
 class RobotTable(msgspec.Struct, frozen=True, kw_only=True):
@@ -117,6 +194,16 @@ def split_listen(listen: str) -> tuple[str, int]:
     elif fault := host_fault(host):
         raise ValueError(fault)
     return host, port
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can connect to an address; a name of another kind than localhost never counts."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 def canonical(host: str) -> str:

@@ -29,10 +29,25 @@ _REFERENCE = "#/$defs/{name}"
 def as_toml(config: Config) -> str:
     """The configuration as understood, in TOML that means the same."""
     lines = [f"vendor_dirs = {toml_value([str(path) for path in config.vendor_dirs])}", "", "[server]"]
-    lines += [f"{key} = {toml_value(value)}" for key, value in msgspec.structs.asdict(config.server).items()]
+    lines += _doors(config)
     for robot in config.robots:
         lines += ["", "[[robots]]", *(_live(robot) if isinstance(robot, RobotSettings) else _broken(robot))]
     return "\n".join(lines) + "\n"
+
+
+def _doors(config: Config) -> Iterator[str]:
+    """The table `[server]` and those below it; of the tokens no more than their names and what they may read."""
+    values = msgspec.structs.asdict(config.server)
+    tables = {key: value for key, value in values.items() if isinstance(value, msgspec.Struct)}
+    for key, value in values.items():
+        if key not in tables:
+            yield f"# {key} is not set" if value is None else f"{key} = {toml_value(value)}"
+    for token in config.tokens or ():
+        yield f"# token {token.name} may read {', '.join(token.topics)}"
+    for key, table in tables.items():
+        yield f"[server.{_key(key)}]"
+        for name, value in msgspec.structs.asdict(table).items():
+            yield f"# {name} is not set" if value is None else f"{_key(name)} = {toml_value(value)}"
 
 
 def _live(robot: RobotSettings) -> Iterator[str]:
@@ -94,6 +109,8 @@ def json_schema(registry: Registry) -> Schema:
     found: dict[type, Schema] = dict(zip(structs, references, strict=True))
     robot = definitions.pop(RobotTable.__name__)
     robot["properties"] = {key: _without_null(value) for key, value in robot["properties"].items()}
+    server = definitions[Server.__name__]
+    server["properties"] = {key: _without_null(value) for key, value in server["properties"].items()}
     robot["properties"]["vendor"]["enum"] = registry.names()
     keys = list(robot["properties"])
     robot["allOf"] = [

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 Table = dict[str, object]
 
 _POSITION = re.compile(r"\(at line (\d+), column (\d+)\)$")
+_TOKEN = re.compile(r"rgw_[\w-]{8,}")
 _SHOWN = 60  # characters of a wrong value
 _BEGINNING = 2  # so many characters may be the beginning of a word
 _WIDEST = 128  # bits of a number that is shown; Python refuses to print the widest
@@ -74,7 +75,12 @@ class Problems:
     def _told(self, path: Path, what: str) -> str:
         line = self.where.of(path)
         place = self.file if line is None else f"{self.file}:{line}"
-        return f"{place}: {key(path)}: {what}" if path else f"{place}: {what}"
+        return without_tokens(f"{place}: {key(path)}: {what}" if path else f"{place}: {what}")
+
+
+def without_tokens(text: str) -> str:
+    """A message without the tokens that somebody may have written where they do not belong."""
+    return _TOKEN.sub("rgw_…", text)
 
 
 def key(path: Path) -> str:
@@ -141,7 +147,7 @@ def _syntax(text: str, file: str, where: Lines, reason: str) -> str:
     reason = reason.split(" (at ", maxsplit=1)[0]
     if re.fullmatch(rf"{KEY.pattern}\s*=\s*[^\s\"'].*", row) and not row.endswith("="):
         reason = f"{reason}; text stands in quotes, numbers do not"
-    return f"{file}:{line}: {about}no valid TOML at column {column}: {reason}"
+    return without_tokens(f"{file}:{line}: {about}no valid TOML at column {column}: {reason}")
 
 
 def read_fields(

@@ -6,7 +6,7 @@ somebody asks for it, and once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from fnmatch import fnmatchcase
 from typing import Literal, Protocol
 
@@ -48,6 +48,14 @@ class Listener(Protocol):
 
     def on_event(self, topic: Topic, event: Event) -> None:
         """An edge was found."""
+        ...
+
+
+class Watcher(Protocol):
+    """Who wants to know when topics come and go. It must return at once, and never raises."""
+
+    def on_topics(self, change: Change) -> None:
+        """Some topics have come or gone."""
         ...
 
 
@@ -194,6 +202,29 @@ class FrameReading:
         )
 
 
+class Change:
+    """Topics that have come and gone together.
+
+    Args:
+        added: Those that have come, with what they say now.
+        removed: Those that have gone; they have said their last.
+    """
+
+    __slots__ = ("_matching", "added", "removed")
+
+    def __init__(self, added: Sequence[Topic], removed: Sequence[Topic]) -> None:
+        self.added = added
+        self.removed = frozenset(removed)
+        self._matching: dict[tuple[str, ...], list[Topic]] = {}
+
+    def matching(self, patterns: tuple[str, ...]) -> list[Topic]:
+        """The topics that have come and that any of some globs names; found once for all who ask for the same."""
+        found = self._matching.get(patterns)
+        if found is None:
+            found = self._matching[patterns] = _matching(self.added, patterns)
+        return found
+
+
 class Bus:
     """All topics of the gateway, and the rings of its events.
 
@@ -204,19 +235,54 @@ class Bus:
 
     def __init__(self, events: EventRing, command_ring: int = DEFAULT_COMMAND_RING) -> None:
         self._command_ring = command_ring
+        self._watchers: dict[Watcher, None] = {}
         self.topics: dict[str, Topic] = {}
         self.events = events
 
     def add(self, robot: str, groups: Iterable[str]) -> dict[str, Topic]:
-        """Make the topics of a robot, by group."""
-        made = {group: Topic(robot, GROUPS[group], self._ring(GROUPS[group])) for group in groups}
+        """The topics of a robot, by group: those that there are stay the same, with their listeners and rings."""
+        made: dict[str, Topic] = {}
+        for group in groups:
+            found = self.topics.get(f"{robot}/{group}")
+            made[group] = found or Topic(robot, GROUPS[group], self._ring(GROUPS[group]))
         self.topics.update({topic.name: topic for topic in made.values()})
         return made
 
+    def of(self, robot: str) -> list[Topic]:
+        """The topics of one robot."""
+        return [topic for topic in self.topics.values() if topic.robot == robot]
+
+    def remove(self, topics: Iterable[Topic]) -> None:
+        """Take topics away; who listens is told with `announce`."""
+        for topic in topics:
+            del self.topics[topic.name]
+
+    def watch(self, watcher: Watcher) -> None:
+        """Tell somebody when topics come and go."""
+        self._watchers[watcher] = None
+
+    def unwatch(self, watcher: Watcher) -> None:
+        """Tell it no longer."""
+        self._watchers.pop(watcher, None)
+
+    def announce(self, added: Sequence[Topic], removed: Sequence[Topic]) -> None:
+        """Tell the watchers what has come and gone."""
+        if added or removed:
+            change = Change(added, removed)
+            for watcher in list(self._watchers):
+                watcher.on_topics(change)
+
+    def resize(self, event_ring: int, command_ring: int) -> None:
+        """Keep more or fewer events from now on; the newest ones stay."""
+        self._command_ring = command_ring
+        self.events.resize(event_ring)
+        for topic in self.topics.values():
+            if topic.ring is not None and topic.ring is not self.events:
+                topic.ring.resize(command_ring)
+
     def match(self, patterns: Iterable[str]) -> list[Topic]:
         """The topics that any of some globs (`*/joints`, `r1/*`) names."""
-        wanted = list(patterns)
-        return [topic for name, topic in self.topics.items() if any(fnmatchcase(name, one) for one in wanted)]
+        return _matching(self.topics.values(), list(patterns))
 
     def publish(self, topic: Topic, reading: Reading) -> None:
         """Keep a reading as the latest one and tell the listeners."""
@@ -244,3 +310,7 @@ class Bus:
         if group.delivery != "event":
             return None
         return self.events if group.name == "events" else EventRing(self._command_ring)
+
+
+def _matching(topics: Iterable[Topic], patterns: Sequence[str]) -> list[Topic]:
+    return [topic for topic in topics if any(fnmatchcase(topic.name, one) for one in patterns)]

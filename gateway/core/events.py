@@ -31,6 +31,16 @@ class EventRing:
         """The name of the newest event; `boot:0` before the first."""
         return f"{self.boot}:{self.last_seq}"
 
+    @property
+    def capacity(self) -> int | None:
+        """How many are kept."""
+        return self._ring.maxlen
+
+    def resize(self, capacity: int) -> None:
+        """Keep more or fewer events from now on; the newest ones stay."""
+        if capacity != self._ring.maxlen:
+            self._ring = deque(self._ring, maxlen=capacity)
+
     def append(
         self,
         robot: str,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import secrets
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import anyio
 import msgspec
@@ -12,11 +12,13 @@ import structlog
 
 from gateway.api.decoder import Decoder, Entry, Event, Frame, Occurrence, Refused, RefusedKind, Table
 from gateway.api.layout import Layout
-from gateway.api.model import GROUPS, CommandsMissed, EventKind, LinkState, Quality
+from gateway.api.model import CommandsMissed, EventKind, LinkState, Quality
 from gateway.api.model import Link as LinkData
 from gateway.api.normaliser import Normaliser
+from gateway.api.vendor import DecoderFactory
+from gateway.core.allowed import AllowedDecoder
 from gateway.core.backoff import REFUSED_S, Backoff, backoff
-from gateway.core.bus import Bus
+from gateway.core.bus import Bus, Topic
 from gateway.core.clock import Clock, Timeline
 from gateway.core.controller_clock import ControllerClock
 from gateway.core.counters import LinkCounters
@@ -32,6 +34,8 @@ from gateway.errors import LinkClosed, LinkError, LinkRefused, LinkStale
 _LOG = structlog.get_logger()
 # A session that was online for so long makes the next delays short again: a link that flaps does not flood the events.
 STEADY_S = 1.0
+# The topics of a robot whose plugin is broken.
+BROKEN_GROUPS = ("link", "events")
 _REFUSED_STATES: dict[str | None, LinkState] = {"incompatible": LinkState.INCOMPATIBLE, "refused": LinkState.REFUSED}
 
 
@@ -44,6 +48,9 @@ class Link:
         bus: Where to publish.
         clock: Both times.
         delays: Makes a new series of delays between attempts.
+
+    Attributes:
+        groups: The groups that it has topics of.
     """
 
     def __init__(
@@ -57,6 +64,8 @@ class Link:
         self._robot = robot
         self._connector = connector
         self._bus = bus
+        self._on_free: Callable[[], None] | None = None
+        self._waiting: list[str] = []  # what the operator is told while a new configuration waits
         self._clock = clock
         self._new_delays = delays
         self._delays = delays()
@@ -76,8 +85,9 @@ class Link:
         )
         topics = bus.add(robot.name, ["link", "link_stats"])
         self._own = {group: OwnTopic(topic, bus, robot.origin) for group, topic in topics.items()}
+        self.groups = frozenset({*self._publisher.groups, *self._own})
         self._counters = LinkCounters(parts=robot.protocol.slowest_s is not None)
-        self._new_decoder = robot.protocol.decoders(robot.options, robot.rate_hz)
+        self._new_decoder: DecoderFactory | None = None
         self._decoder: Decoder | None = None
         self._layout: Table | None = None
         self._noted: list[str] = []
@@ -101,6 +111,36 @@ class Link:
         self._publisher.silent(Quality.DISCONNECTED, self._timeline.now(), None)
         self._say()
 
+    @property
+    def holds_session(self) -> bool:
+        """Whether a session is open that must not be dropped."""
+        return self._in_session and self._robot.protocol.on_stale == "keep"
+
+    @property
+    def events(self) -> Topic:
+        """The robot's event topic."""
+        return self._publisher.events
+
+    def wait(self, note: str, on_free: Callable[[], None]) -> None:
+        """Show that a new configuration waits for the session to end, and call back when it has ended."""
+        self._waiting, self._on_free = [note], on_free
+        self._show_notes()
+
+    def wait_no_more(self) -> None:
+        """Nothing waits any more."""
+        if self._waiting:
+            self._waiting, self._on_free = [], None
+            self._show_notes()
+
+    def leave(self, reason: str) -> None:
+        """Say on every topic, when `run` has ended, that no more comes from this link, and why."""
+        if self._data.state is LinkState.ONLINE:
+            self._say_lost(Quality.DISCONNECTED, LinkState.DISCONNECTED, reason)
+        else:
+            self._publisher.silent(Quality.DISCONNECTED, self._timeline.now(), self._last_frame_t())
+        self._counters.reached_hz = None
+        self._enter(LinkState.DISCONNECTED, reason, next_attempt=None, reached_hz=None, parts_hz={}, notes=[])
+
     async def run(self) -> None:
         """Connect and reconnect until cancelled."""
         try:
@@ -108,6 +148,8 @@ class Link:
                 tasks.start_soon(self._count_every_second)
                 while True:
                     delay_s = await self._attempt()
+                    if self._on_free is not None:
+                        self._on_free()
                     await anyio.sleep(delay_s)
         finally:
             with anyio.CancelScope(shield=True):
@@ -135,6 +177,8 @@ class Link:
     async def _connect_and_run(self) -> None:
         robot = self._robot
         self._decoder = None
+        if self._new_decoder is None:  # not before: a plugin that fails here costs its own link, not the start of all
+            self._new_decoder = robot.protocol.decoders(robot.options, robot.rate_hz)
         connection = await self._connector.connect()
         self._in_session = True
         try:
@@ -142,7 +186,7 @@ class Link:
             self._enter(LinkState.HANDSHAKING, "connected, waiting for the first frame", layout=None, notes=[])
             self._counters.begin()
             self._first_frame = True
-            decoder = self._new_decoder()
+            decoder = AllowedDecoder(self._new_decoder(), robot.vendor.name, robot.protocol.outgoing)
             self._kept = KeptDecoder(decoder) if robot.protocol.on_stale == "keep" else None
             self._decoder = self._kept or decoder
             session = Session(
@@ -230,7 +274,7 @@ class Link:
 
     def _notes(self) -> list[str]:
         """What decoder and transport have to tell; a plugin that cannot even tell it stops nothing."""
-        notes = list(self._connector.notes)
+        notes = [*self._waiting, *self._connector.notes]
         with contextlib.suppress(Exception):
             notes += [] if self._decoder is None else [str(note) for note in self._decoder.notes]
         return notes
@@ -252,19 +296,8 @@ class Link:
         return delay_s
 
     def _announce_loss(self, state: LinkState, reason: str) -> None:
-        was_online = self._data.state is LinkState.ONLINE
-        last_s = self._counters.last_frame_s
-        if was_online:
-            now = self._timeline.now()
-            self._publisher.silent(
-                Quality.STALE if state is LinkState.STALE else Quality.DISCONNECTED,
-                now,
-                None if last_s is None else self._timeline_at(last_s),
-            )
-            self._raise(EventKind.LINK_LOST, LinkState.ONLINE, state, reason)
-            # What was under way when the session ended is lost, and nobody can count it.
-            missed = Entry(EventKind.COMMAND_MISSED, CommandsMissed(), {"reason": reason})
-            self._publisher.occurred((missed,), self._clock.monotonic())
+        if self._data.state is LinkState.ONLINE:
+            self._say_lost(Quality.STALE if state is LinkState.STALE else Quality.DISCONNECTED, state, reason)
         if state is LinkState.INCOMPATIBLE and self._outcome is not LinkState.INCOMPATIBLE:
             self._raise(EventKind.LINK_INCOMPATIBLE, self._outcome, state, reason)
         self._outcome = state
@@ -274,9 +307,18 @@ class Link:
         log = self._log.bind(n_repeats=n_repeats) if n_repeats else self._log
         log.warning("link.lost", reason=reason, state=state.value, peer=self._connector.peer)
 
-    def _timeline_at(self, monotonic_s: float) -> int:
-        ago_us = round((self._clock.monotonic() - monotonic_s) * 1e6)
-        return self._timeline.now() - ago_us
+    def _say_lost(self, quality: Quality, state: LinkState, reason: str) -> None:
+        """Say on every topic that a link that was online is not any more."""
+        self._publisher.silent(quality, self._timeline.now(), self._last_frame_t())
+        self._raise(EventKind.LINK_LOST, LinkState.ONLINE, state, reason)
+        # What was under way when the session ended is lost, and nobody can count it.
+        missed = Entry(EventKind.COMMAND_MISSED, CommandsMissed(), {"reason": reason})
+        self._publisher.occurred((missed,), self._clock.monotonic())
+
+    def _last_frame_t(self) -> int | None:
+        """When the last frame came, µs UTC."""
+        last_s = self._counters.last_frame_s
+        return None if last_s is None else self._timeline.now() - round((self._clock.monotonic() - last_s) * 1e6)
 
     def _next_epoch(self) -> str:
         self._epochs += 1
@@ -327,6 +369,10 @@ class Link:
             self._data = now
             self._say()
 
+    def _show_notes(self) -> None:
+        self._data = msgspec.structs.replace(self._data, notes=self._notes())
+        self._say()
+
     def _enter(self, state: LinkState, reason: str | None, **changes: object) -> None:
         same = (state is LinkState.ONLINE) == (self._data.state is LinkState.ONLINE)
         since = self._data.since if same else self._timeline.now()
@@ -348,7 +394,7 @@ def _title(table: Table) -> str:
 
 def announce_broken(robot: BrokenRobot, bus: Bus, clock: Clock) -> None:
     """Show a robot whose plugin could not be loaded: its link is FAULTED and says why."""
-    topic = bus.add(robot.name, [GROUPS["link"].name])["link"]
+    topic = bus.add(robot.name, BROKEN_GROUPS)["link"]
     now = clock.utc_us()
     data = LinkData(
         state=LinkState.FAULTED,

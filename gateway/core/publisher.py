@@ -97,6 +97,11 @@ class Publisher:
         """The robot's event topic."""
         return self._events
 
+    @property
+    def groups(self) -> set[str]:
+        """The groups that it has topics of."""
+        return {*self._topics, "events", *(() if self._commands is None else ("commands",))}
+
     def begin(self, epoch: str, timeline: Timeline) -> None:
         """A session has begun: its samples have a new epoch, and nothing is known."""
         self._timeline = timeline

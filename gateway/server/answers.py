@@ -26,6 +26,8 @@ _WORDS = {
     HTTPStatus.NOT_FOUND: "there is nothing at this address: /api/v1/openapi.json lists what there is",
     HTTPStatus.METHOD_NOT_ALLOWED: "the doors only read: use GET",
 }
+# What a refusal may say besides its body.
+_KEPT_HEADERS = (hdrs.WWW_AUTHENTICATE, hdrs.RETRY_AFTER)
 # Sent with everything: what is read here is for programs and for our own page alone.
 SECURITY_HEADERS = {
     "X-Content-Type-Options": "nosniff",
@@ -112,7 +114,7 @@ async def in_json(
     except web.HTTPException as error:
         if error.status < HTTPStatus.BAD_REQUEST:
             raise
-        return _explained(error, {})
+        return _explained(error, {name: error.headers[name] for name in _KEPT_HEADERS if name in error.headers})
     except ConnectionError:
         raise  # the client is gone: nobody is left to be told
     except Exception:  # noqa: BLE001 - an internal error is logged, and costs its request

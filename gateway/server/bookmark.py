@@ -36,7 +36,7 @@ class Bookmark:
 
     def move_to_end(self) -> None:
         """The reader has everything that there is for it."""
-        self._names = {boot: ring.last_name for boot, ring in self._rings.items()}
+        self._names.update({boot: ring.last_name for boot, ring in self._rings.items()})
 
 
 def _newest(ring: EventRing) -> str:

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from gateway.api.model import Event
-from gateway.core.bus import Reading, Topic
+from gateway.core.bus import Bus, Change, Reading, Topic
 from gateway.server.inbox import Every, Inbox, Newest, Rated
 from gateway.server.wire import Cut
 
@@ -35,6 +35,26 @@ class Wish:
     period_s: float | None
     every: bool
     cut: Cut
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Source:
+    """Where a subscription finds its topics, now and when others come.
+
+    Args:
+        bus: Has the topics.
+        patterns: Globs of those that were asked for.
+        scope: Globs of those that the client may see; None: all.
+    """
+
+    bus: Bus
+    patterns: tuple[str, ...]
+    scope: tuple[str, ...] | None
+
+    def new(self, change: Change) -> list[Topic]:
+        """The topics of a change that it finds."""
+        found = change.matching(self.patterns)
+        return found if self.scope is None else [topic for topic in found if topic in change.matching(self.scope)]
 
 
 class Batch:
@@ -126,16 +146,19 @@ class Cohort:
         wish: What was asked for.
         topics: What it matches.
         turns: Who lets out what is due.
+        source: Where further topics come from; None: there will be no others.
 
     Attributes:
+        topics: What it matches now.
         collects: Whether its samples wait for others of the same flush time, not for a slot of their own.
         samples_due_s: Monotonic time when samples are due.
         due_s: Monotonic time when something is due.
     """
 
-    def __init__(self, wish: Wish, topics: Sequence[Topic], turns: Cohorts) -> None:
+    def __init__(self, wish: Wish, topics: Sequence[Topic], turns: Cohorts, source: Source | None = None) -> None:
         self._cut = wish.cut
-        self._topics = topics
+        self.topics = tuple(topics)
+        self._source = source
         self._turns = turns
         self._missed = Counter[str]()
         self._members: dict[Member, None] = {}
@@ -152,12 +175,13 @@ class Cohort:
     def add(self, member: Member) -> None:
         """Take in a subscription: nothing that waits now is for it, for it is given the latest values by itself."""
         if not self._members:
-            for topic in self._topics:
-                topic.listeners = [*topic.listeners, self]
+            self._listen(self.topics)
+            if self._source is not None:
+                self._source.bus.watch(self)
         else:
             self.give(math.inf if self.collects else self._turns.now(), closing=True)
             if not self.collects:
-                self._newcomers[member] = {topic: topic.latest for topic in self._topics}
+                self._newcomers[member] = {topic: topic.latest for topic in self.topics}
         self._members[member] = None
 
     def remove(self, member: Member) -> bool:
@@ -166,9 +190,25 @@ class Cohort:
         del self._members[member]
         self._newcomers.pop(member, None)
         if not self._members:
-            for topic in self._topics:
-                topic.listeners = [listener for listener in topic.listeners if listener is not self]
+            self._leave(self.topics)
+            if self._source is not None:
+                self._source.bus.unwatch(self)
         return not self._members
+
+    def on_topics(self, change: Change) -> None:
+        """Take in the topics that have come, with what they say now, and let go those that have gone."""
+        new = [] if self._source is None else self._source.new(change)
+        self._leave([topic for topic in self.topics if topic in change.removed])
+        self._listen(new)
+        self.topics = (*(topic for topic in self.topics if topic not in change.removed), *new)
+        for topic in new:
+            if topic.latest is not None:
+                self.on_reading(topic, topic.latest)
+
+    def pace(self, flush_s: float) -> None:
+        """Collect samples for another time from now on."""
+        if self.collects:
+            self._samples.pace(flush_s)
 
     def on_reading(self, topic: Topic, reading: Reading) -> None:
         """Take a reading from the bus."""
@@ -215,6 +255,14 @@ class Cohort:
         if self._samples.due_s == math.inf:
             self._newcomers.clear()
 
+    def _listen(self, topics: Iterable[Topic]) -> None:
+        for topic in topics:
+            topic.listeners = [*topic.listeners, self]
+
+    def _leave(self, topics: Iterable[Topic]) -> None:
+        for topic in topics:
+            topic.listeners = [listener for listener in topic.listeners if listener is not self]
+
     def _tell_missed(self) -> None:
         for member in self._members:
             member.lose(self._missed)
@@ -247,19 +295,28 @@ class Cohorts:
     def __len__(self) -> int:
         return len(self._cohorts)
 
-    def join(self, wish: Wish, topics: tuple[Topic, ...], member: Member) -> None:
+    def join(self, wish: Wish, topics: tuple[Topic, ...], member: Member, source: Source | None = None) -> Cohort:
         """Let a subscription listen, together with those that want the same."""
-        cohort = self._cohorts.get((wish, topics))
+        key = (wish, source or topics)
+        cohort = self._cohorts.get(key)
         if cohort is None:
-            cohort = self._cohorts[wish, topics] = Cohort(wish, topics, self)
+            cohort = self._cohorts[key] = Cohort(wish, topics, self, source)
         cohort.add(member)
+        return cohort
 
-    def leave(self, wish: Wish, topics: tuple[Topic, ...], member: Member) -> None:
-        """Let a subscription go."""
-        cohort = self._cohorts[wish, topics]
+    def leave(self, wish: Wish, topics: tuple[Topic, ...], member: Member, source: Source | None = None) -> None:
+        """Let a subscription go that has joined with the same words."""
+        key = (wish, source or topics)
+        cohort = self._cohorts[key]
         if cohort.remove(member):
-            del self._cohorts[wish, topics]
+            del self._cohorts[key]
             self._waiting.pop(cohort, None)
+
+    def pace(self, flush_s: float) -> None:
+        """Collect samples without a rate for another time from now on."""
+        self.flush_s = flush_s
+        for cohort in self._cohorts.values():
+            cohort.pace(flush_s)
 
     def expect(self, cohort: Cohort) -> None:
         """Something waits in a cohort."""

@@ -50,6 +50,11 @@ class Wire:
         transport.set_write_buffer_limits(high=UNSENT_BYTES)
 
     @property
+    def transport(self) -> asyncio.BaseTransport:
+        """What the connection stands on."""
+        return self._transport
+
+    @property
     def ended(self) -> bool:
         """Whether nothing more may be written: the close frame has gone out, or the connection is lost."""
         return self._socket.closed or self._transport.is_closing()

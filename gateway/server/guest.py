@@ -15,7 +15,9 @@ import structlog
 from aiohttp import WSCloseCode, WSMessage, WSMsgType, web
 
 from gateway.api.messages import MAX_MESSAGE_BYTES
+from gateway.server.access import ACCESS, REVOKED, Caller, announced, caller_of
 from gateway.server.frames import Wire
+from gateway.server.limits import Quota
 
 _LOG = structlog.get_logger()
 # A message this much over the limit is not even read: the connection ends with 1009.
@@ -36,6 +38,10 @@ class Owed(Protocol):
         """End everything that it listens to."""
         ...
 
+    def pace(self, flush_s: float) -> None:
+        """Collect samples without a rate for another time from now on."""
+        ...
+
 
 class Guest(ABC):
     """One connected client; what it says and is told is its door's part.
@@ -44,18 +50,32 @@ class Guest(ABC):
         socket: The prepared WebSocket.
         wire: The way to it; cut off when the client does not even take a farewell.
         owed: What it is owed.
+        quota: What it may take of its peer's share; None: as much as it wants.
 
     Attributes:
         sent_away: Why the gateway has ended the connection; None: it has not.
+        caller: Who it is, once it is served.
     """
 
-    def __init__(self, socket: web.WebSocketResponse, wire: Wire, owed: Owed) -> None:
+    def __init__(self, socket: web.WebSocketResponse, wire: Wire, owed: Owed, quota: Quota | None) -> None:
         self._socket = socket
         self._wire = wire
         self._owed = owed
+        self._quota = quota
+        self._leaving = anyio.Event()
         self._n_unread = 0  # bytes of answers that the socket has not taken
         self._taken = anyio.Event()
         self.sent_away: str | None = None
+        self.caller: Caller | None = None
+
+    @property
+    def transport(self) -> asyncio.BaseTransport:
+        """What the connection stands on."""
+        return self._wire.transport
+
+    def pace(self, flush_s: float) -> None:
+        """Collect its samples for another time from now on."""
+        self._owed.pace(flush_s)
 
     @property
     def close_code(self) -> int | None:
@@ -74,6 +94,7 @@ class Guest(ABC):
     async def close(self, code: int, reason: str) -> None:
         """Send the client away; one that does not even take the farewell is cut off."""
         self.sent_away = reason
+        self._leaving.set()
         self._owed.close()
         try:
             with anyio.move_on_after(_CLOSE_S, shield=True):
@@ -85,7 +106,7 @@ class Guest(ABC):
             self._taken.set()
 
     async def read(self) -> None:
-        """Take messages until the client leaves, or has to."""
+        """Take messages until the client leaves, or has to; who says farewell is answered."""
         async for message in self._socket:
             if message.type is WSMsgType.ERROR:
                 return
@@ -97,6 +118,19 @@ class Guest(ABC):
                 self._taken = anyio.Event()
                 await self._taken.wait()
             await anyio.lowlevel.checkpoint()  # many requests at once do not hold up the other clients
+            wait_s = self._quota.message_wait_s() if self._quota is not None else 0.0
+            if wait_s > 0:
+                with anyio.move_on_after(wait_s):
+                    await self._leaving.wait()
+        if not self._socket.closed:
+            # aiohttp takes 1006 for a code that a client may send (RFC 6455, 7.4.1: it must not)
+            is_wrong = self._socket.close_code == WSCloseCode.ABNORMAL_CLOSURE
+            await self._socket.close(code=WSCloseCode.PROTOCOL_ERROR if is_wrong else WSCloseCode.OK, drain=False)
+
+    def leave(self) -> None:
+        """Give back what the client has taken of its peer's share."""
+        if self._quota is not None:
+            self._quota.close()
 
 
 async def opened(
@@ -107,6 +141,7 @@ async def opened(
         protocols=subprotocols,
         max_msg_size=_READ_LIMIT,
         compress=False,
+        autoclose=False,  # `Guest.read` does it
         heartbeat=_HEARTBEAT_S,
         timeout=_CLOSE_S,
     )
@@ -122,16 +157,19 @@ async def opened(
 @asynccontextmanager
 async def hosted(request: web.Request, guests: set[Guest], guest: Guest) -> AsyncIterator[None]:
     """Have a client among the guests while it is served; a mistake of ours is logged, and sends it away."""
+    guest.caller = caller_of(request)
     guests.add(guest)
-    log = _LOG.bind(peer=request.remote)
-    log.debug("subscriber.connected")
+    log = announced(request)
     try:
+        if not request.app[ACCESS].is_current(guest.caller):  # its token went while it shook hands
+            await guest.close(WSCloseCode.POLICY_VIOLATION, REVOKED)
         yield
     except Exception:
         log.exception("subscriber.failed")
         await guest.close(WSCloseCode.INTERNAL_ERROR, "internal error, see the gateway's log")
     finally:
         guests.discard(guest)
+        guest.leave()
         if guest.sent_away in {None, STOPPING}:
             log.debug("subscriber.disconnected", reason=guest.sent_away or str(guest.close_code))
         else:

@@ -15,8 +15,9 @@ from aiohttp import web
 from gateway import __version__
 from gateway.api.messages import RobotInfo
 from gateway.api.model import LinkState
+from gateway.server.access import cell_of
 from gateway.server.answers import Failure, answer, failure, parameters
-from gateway.server.native import CELL
+from gateway.server.cell import CELL
 
 BEAT_S = 0.1
 HUNG_S = 5.0
@@ -39,7 +40,7 @@ class Readiness(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Waiting(Failure, frozen=True, kw_only=True):
-    """Some links have not been tried."""
+    """Some links have not been tried; those that the caller may not see are counted in the message only."""
 
     waiting: list[str]
 
@@ -108,13 +109,20 @@ async def healthz(request: web.Request) -> web.Response:
 
 
 async def readyz(request: web.Request) -> web.Response:
-    """Answer whether every configured link has been tried at least once, and which have not."""
+    """Answer whether every configured link has been tried at least once, and which have not.
+
+    Who asks without a token learns how many there are, and no names.
+    """
     parameters(request)
     infos = request.app[CELL].infos()
-    waiting = [info.name for info in infos if not was_tried(info)]
-    if not waiting:
+    untried = [info.name for info in infos if not was_tried(info)]
+    if not untried:
         return answer(Readiness(robots=len(infos)))
-    words = f"not tried yet: {', '.join(waiting)}"
+    visible = cell_of(request).robots
+    waiting = [name for name in untried if name in visible]
+    n_hidden = len(untried) - len(waiting)
+    named = [*waiting, *([f"{n_hidden} of {len(infos)} robots"] if n_hidden else [])]
+    words = f"not tried yet: {', '.join(named)}"
     return answer(Waiting(code="NOT_READY", message=words, waiting=waiting), status=HTTPStatus.SERVICE_UNAVAILABLE)
 
 

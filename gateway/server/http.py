@@ -2,40 +2,33 @@
 
 from __future__ import annotations
 
-import errno
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from functools import partial
+from typing import cast
 
-from aiohttp import hdrs, web
+import anyio
+from aiohttp import web
 
-from gateway.errors import GatewayError
 from gateway.server import foxglove, openapi, pages, rest
-from gateway.server.access import refuse_foreign
+from gateway.server.accepting import bounded
+from gateway.server.access import ACCESS, PUBLIC, Access, allow_foreign, is_upgrade, refuse_foreign
 from gateway.server.answers import in_json, secure
-from gateway.server.cell import Cell
+from gateway.server.cell import CELL, Cell
 from gateway.server.health import PULSE, Pulse, healthz, readyz
-from gateway.server.metrics import REGISTRY, metrics, registry_of
-from gateway.server.native import CELL, CLIENTS, PACE, Client, Clients, Pace, websocket
+from gateway.server.limits import PEERS, Peers
+from gateway.server.listener import Listener
+from gateway.server.metrics import SCRAPES, Scrapes, metrics
+from gateway.server.native import CLIENTS, PACE, Client, Clients, Pace, websocket
+from gateway.server.refusals import REFUSALS, Refusals
+from gateway.server.revoking import warn_insecure
+from gateway.server.settings import DoorSettings
 from gateway.server.sse import STREAMS, Streams, stream
+from gateway.server.tls import TLS, Tls
 from gateway.server.traffic import DOORS, Doors, Traffic
 
-_SHUTDOWN_S = 1.0
+_SHUTDOWN_S = 0.3  # of this and the farewells the gateway may take 2 s in all
 _STUCK_S = 10.0
-
-
-class ListenError(GatewayError):
-    """The listener could not be opened.
-
-    Attributes:
-        address: Which address was asked for.
-        reason: Why not, and what to do.
-    """
-
-    def __init__(self, address: str, reason: str) -> None:
-        super().__init__(f"cannot listen on {address}: {reason}")
-        self.address = address
-        self.reason = reason
 
 
 _ROUTES: dict[str, pages.Handler] = {
@@ -55,19 +48,25 @@ _ROUTES: dict[str, pages.Handler] = {
 }
 
 
-def make_app(cell: Cell, pace: Pace, pulse: Pulse) -> web.Application:
+def make_app(cell: Cell, pace: Pace, pulse: Pulse, settings: DoorSettings) -> web.Application:
     """All doors of the listener."""
-    app = web.Application(middlewares=[in_json, refuse_foreign])
+    app = web.Application(middlewares=[bounded, in_json, refuse_foreign])
     app[CELL] = cell
     app[PACE] = pace
     app[CLIENTS] = Clients()
     app[STREAMS] = Streams()
     app[DOORS] = Doors(native=Traffic(), foxglove=Traffic(), sse=Traffic())
     app[PULSE] = pulse
-    app[REGISTRY] = registry_of(cell, partial(_delivered, app[DOORS], app[CLIENTS]), pulse)
+    app[REFUSALS] = Refusals()
+    app[PEERS] = Peers(settings.limits, app[REFUSALS], lambda: len(cell.robots))
+    app[ACCESS] = Access(settings.access)
+    delivered = partial(_delivered, app[DOORS], app[CLIENTS])
+    app[SCRAPES] = Scrapes(delivered=delivered, pulse=pulse, refused=app[REFUSALS].counts)
+    app.on_response_prepare.append(allow_foreign)
     app.on_response_prepare.append(secure)
     app.on_shutdown.append(_say_goodbye)
     page = pages.routes(pages.load())
+    app[PUBLIC] = frozenset({*page, "/", "/healthz", "/readyz"})
     for path, handler in {**page, "/": _front(page.get("/")), **_ROUTES}.items():
         app.router.add_get(path, handler)
     return app
@@ -77,7 +76,7 @@ def _front(index: pages.Handler | None) -> pages.Handler:
     """What stands at `/`: the page for a browser, the Foxglove door for a client of its protocol."""
 
     async def front(request: web.Request) -> web.StreamResponse:
-        if request.headers.get(hdrs.UPGRADE, "").lower() == "websocket":
+        if is_upgrade(request):
             return await foxglove.websocket(request)
         if index is None:
             raise web.HTTPNotFound
@@ -87,34 +86,46 @@ def _front(index: pages.Handler | None) -> pages.Handler:
 
 
 @asynccontextmanager
-async def listening(cell: Cell, host: str, port: int, flush_s: float, stuck_s: float = _STUCK_S) -> AsyncIterator[int]:
+async def listening(
+    cell: Cell,
+    host: str,
+    port: int,
+    settings: DoorSettings,
+    stuck_s: float = _STUCK_S,
+) -> AsyncIterator[Listener]:
     """Open the listener for as long as the context lasts.
 
     Args:
         cell: What the doors show.
         host: Address to listen on.
         port: Port; 0 takes a free one.
-        flush_s: How long samples may be collected into one message.
+        settings: How they send, who may talk to them, and how much.
         stuck_s: A client whose socket takes nothing for so long is sent away.
 
     Yields:
-        The port.
+        What tells the port, and can be moved and told other settings.
 
     Raises:
         ListenError: The address is taken or not allowed.
+        CertificateError: The certificate cannot be used.
     """
     pulse = Pulse()
-    app = make_app(cell, Pace(flush_s=flush_s, stuck_s=stuck_s), pulse)
+    app = make_app(cell, Pace(flush_s=settings.flush_s, stuck_s=stuck_s), pulse, settings)
+    app[TLS] = tls = Tls(settings.tls)
     runner = web.AppRunner(app, access_log=None, shutdown_timeout=_SHUTDOWN_S)
     await runner.setup()
     try:
-        site = web.TCPSite(runner, host, port)
-        try:
-            await site.start()
-        except OSError as error:
-            raise ListenError(f"{host}:{port}", _advice(error)) from error
-        with pulse.beating():
-            yield int(runner.addresses[0][1])
+        async with anyio.create_task_group() as tasks:
+            listener = Listener(app, cast("web.Server", runner.server), tasks, settings)
+            await listener.open(host, port)
+            warn_insecure(settings.access, f"{host}:{listener.port}")
+            with pulse.beating(), tls.watching():
+                yield listener
+            tasks.cancel_scope.cancel()
+    except BaseExceptionGroup as group:
+        if len(group.exceptions) > 1:
+            raise
+        raise group.exceptions[0] from None  # what the body raised, as it was
     finally:
         await runner.cleanup()
 
@@ -132,13 +143,3 @@ async def _say_goodbye(app: web.Application) -> None:
     """Tell every client that the gateway is going."""
     app[STREAMS].stop()
     await app[CLIENTS].send_away()
-
-
-def _advice(error: OSError) -> str:
-    if error.errno == errno.EADDRINUSE:
-        return "the port is in use, perhaps by another gateway: end that one, or set server.listen to another port"
-    if error.errno == errno.EACCES:
-        return "not permitted: take a port above 1023"
-    if error.errno == errno.EADDRNOTAVAIL:
-        return "this machine has no such address: set server.listen to one that it has"
-    return error.strerror or str(error)

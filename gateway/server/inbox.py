@@ -32,6 +32,10 @@ class Inbox(Protocol):
         """Give out what is due now, in order per topic."""
         ...
 
+    def pace(self, flush_s: float) -> None:
+        """Let readings wait for others for so long from now on, where they wait for others."""
+        ...
+
 
 class Newest:
     """The newest reading of each topic, a little later, so that several leave in one message.
@@ -65,6 +69,10 @@ class Newest:
         self._readings.clear()
         self.due_s = math.inf
         return taken
+
+    def pace(self, flush_s: float) -> None:
+        """Let readings wait for others for so long from now on."""
+        self._flush_s = flush_s
 
 
 class Every:
@@ -102,6 +110,10 @@ class Every:
         self._readings.clear()
         self.due_s = math.inf
         return taken
+
+    def pace(self, flush_s: float) -> None:
+        """Let readings wait for others for so long from now on."""
+        self._flush_s = flush_s
 
 
 @dataclass(slots=True)
@@ -164,6 +176,9 @@ class Rated:
                 self._missed[topic.name] += served - 1
         self.due_s = min((self._time_s(one.due) for one in self._waiting.values()), default=math.inf)
         return [(topic, one.reading) for topic, one in due.items()]
+
+    def pace(self, flush_s: float) -> None:
+        """A rate has its own slots."""
 
     def _time_s(self, slot: int) -> float:
         return self._start_s + slot * self._period_s

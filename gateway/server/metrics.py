@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from dataclasses import field as made
 from itertools import accumulate
 
 from aiohttp import hdrs, web
@@ -14,6 +17,7 @@ from prometheus_client.registry import Collector
 from gateway import __version__
 from gateway.api.messages import RobotInfo
 from gateway.api.model import LinkState, LinkStats
+from gateway.server.access import cell_of
 from gateway.server.answers import parameters
 from gateway.server.cell import Cell
 from gateway.server.health import LAG_BOUNDS_S, Pulse
@@ -59,13 +63,23 @@ class CellCollector(Collector):
         cell: The robots and the bus.
         delivered: Reads what each door has delivered, by its name.
         pulse: The loop's lag.
+        refused: How often something was refused, by reason.
+        reasons: By robot, those of its rejects that have a series of their own; kept from scrape to scrape.
     """
 
-    def __init__(self, cell: Cell, delivered: Delivered, pulse: Pulse) -> None:
+    def __init__(
+        self,
+        cell: Cell,
+        delivered: Delivered,
+        pulse: Pulse,
+        refused: Mapping[str, int],
+        reasons: dict[str, set[str]],
+    ) -> None:
         self._cell = cell
         self._delivered = delivered
         self._pulse = pulse
-        self._reasons: dict[str, set[str]] = {}  # by robot: those that have a series of their own
+        self._refused = refused
+        self._reasons = reasons
 
     def collect(self) -> Iterator[Metric]:
         """Every metric."""
@@ -76,6 +90,13 @@ class CellCollector(Collector):
         yield self._link_states(infos)
         yield from self._link_numbers(infos)
         yield from self._deliveries()
+        tasks = GaugeMetricFamily(f"{_PREFIX}tasks", "Tasks of the event loop.")
+        tasks.add_metric([], _n_tasks())
+        yield tasks
+        refused = CounterMetricFamily(f"{_PREFIX}refused", "Requests and connections refused.", labels=["reason"])
+        for reason, count in self._refused.items():
+            refused.add_metric([reason], count)
+        yield refused
         yield self._lag()
 
     def _link_states(self, infos: list[tuple[RobotInfo, list[str]]]) -> Metric:
@@ -114,7 +135,7 @@ class CellCollector(Collector):
         yield readers
         listeners = GaugeMetricFamily(f"{_PREFIX}subscribed_topics", "Topics that somebody reads.", labels=["robot"])
         for name in self._cell.robots:
-            topics = (topic for topic in self._cell.bus.topics.values() if topic.robot == name)
+            topics = (topic for topic in self._cell.topics.values() if topic.robot == name)
             listeners.add_metric([name], sum(bool(topic.listeners) for topic in topics))
         yield listeners
         for name, text, field in _TRAFFIC:
@@ -131,7 +152,7 @@ class CellCollector(Collector):
         return HistogramMetricFamily(f"{_PREFIX}loop_lag_seconds", text, buckets=buckets, sum_value=self._pulse.lag_sum)
 
     def _stats(self, robot: str) -> LinkStats:
-        topic = self._cell.bus.topics.get(f"{robot}/link_stats")
+        topic = self._cell.topics.get(f"{robot}/link_stats")
         data = None if topic is None or topic.latest is None else topic.latest.sample(topic).data
         return data if isinstance(data, LinkStats) else LinkStats()
 
@@ -147,18 +168,48 @@ class CellCollector(Collector):
         return counts
 
 
-REGISTRY = web.AppKey("registry", CollectorRegistry)
+def _n_tasks() -> int:
+    """How many tasks the running loop has; 0 where none runs."""
+    try:
+        return len(asyncio.all_tasks())
+    except RuntimeError:
+        return 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scrapes:
+    """What is told to whoever scrapes.
+
+    Attributes:
+        delivered: Reads what each door has delivered, by its name.
+        pulse: The loop's lag.
+        refused: How often something was refused, by reason.
+        reasons: By robot, those of its rejects that have a series of their own.
+    """
+
+    delivered: Delivered
+    pulse: Pulse
+    refused: Mapping[str, int]
+    reasons: dict[str, set[str]] = made(default_factory=dict)
+
+    def registry(self, cell: Cell) -> CollectorRegistry:
+        """A registry of what a cell, or what may be seen of it, tells now: nothing is global."""
+        registry = CollectorRegistry()
+        registry.register(CellCollector(cell, self.delivered, self.pulse, self.refused, self.reasons))
+        return registry
+
+
+SCRAPES = web.AppKey("scrapes", Scrapes)
 
 
 def registry_of(cell: Cell, delivered: Delivered, pulse: Pulse) -> CollectorRegistry:
-    """A registry of one gateway's own: nothing is shared, and nothing is global."""
-    registry = CollectorRegistry()
-    registry.register(CellCollector(cell, delivered, pulse))
-    return registry
+    """A registry of one gateway's own."""
+    return Scrapes(delivered=delivered, pulse=pulse, refused={}).registry(cell)
 
 
 async def metrics(request: web.Request) -> web.Response:
-    """The metrics, in the text format of Prometheus or in OpenMetrics."""
+    """The metrics, in the text format of Prometheus or in OpenMetrics; of robots those that the caller may see."""
     parameters(request)
     encode, content_type = choose_encoder(request.headers.get(hdrs.ACCEPT, ""))
-    return web.Response(body=encode(request.app[REGISTRY]), headers={hdrs.CONTENT_TYPE: content_type})
+    registry = request.app[SCRAPES].registry(cell_of(request))
+    return web.Response(body=encode(registry), headers={hdrs.CONTENT_TYPE: content_type})

@@ -10,10 +10,12 @@ import msgspec
 from aiohttp import WSCloseCode, WSMessage, WSMsgType, web
 
 from gateway.api import messages
+from gateway.server.access import ACCESS, cell_of
 from gateway.server.cell import Cell
 from gateway.server.cohort import Shared
 from gateway.server.frames import Wire, frame
 from gateway.server.guest import STOPPING, Guest, hosted, opened
+from gateway.server.limits import PEERS, Quota
 from gateway.server.outbox import Outbox
 from gateway.server.requests import BadRequest, Requests, decode, id_of
 from gateway.server.turns import Turns
@@ -22,9 +24,9 @@ from gateway.server.wire import ENCODINGS, JSON, Encoding, encode_response
 _URL_PARAMETERS = ("topics", "rate_hz", "mode", "fields", "since")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class Pace:
-    """How fast clients are served, and how long they are waited for.
+    """How fast clients are served, and how long they are waited for; may change while they are here.
 
     Args:
         flush_s: How long samples may be collected into one message.
@@ -57,7 +59,6 @@ class Clients(set[Guest]):
                 tasks.start_soon(client.close, WSCloseCode.GOING_AWAY, STOPPING)
 
 
-CELL = web.AppKey("cell", Cell)
 PACE = web.AppKey("pace", Pace)
 CLIENTS = web.AppKey("clients", Clients)
 
@@ -70,9 +71,10 @@ async def websocket(request: web.Request) -> web.StreamResponse:
         return opening[0]
     socket, wire = opening
     clients, pace = request.app[CLIENTS], request.app[PACE]
-    client = Client(socket, wire, request.app[CELL], clients.turns_of(pace), pace.stuck_s)
+    quota = Quota(request.app[PEERS], request.remote)
+    client = Client(socket, wire, cell_of(request), clients.turns_of(pace), pace.stuck_s, quota)
     async with hosted(request, clients, client):
-        await client.serve(asked)
+        await client.serve(asked, request.app[ACCESS].mode)
     return socket
 
 
@@ -85,15 +87,24 @@ class Client(Guest):
         cell: What it may read.
         turns: When it is written to.
         stuck_s: When its socket takes nothing for so long it is sent away.
+        quota: What it may take of its peer's share.
     """
 
-    def __init__(self, socket: web.WebSocketResponse, wire: Wire, cell: Cell, turns: Turns, stuck_s: float) -> None:
+    def __init__(
+        self,
+        socket: web.WebSocketResponse,
+        wire: Wire,
+        cell: Cell,
+        turns: Turns,
+        stuck_s: float,
+        quota: Quota,
+    ) -> None:
         self._turns = turns
         self._stuck_s = stuck_s
         self._encoding: Encoding = ENCODINGS.get(socket.ws_protocol or "", JSON)
         self._outbox = Outbox(self._encoding, turns.cohorts.flush_s, turns.cohorts.now, turns.cohorts, self._on_turn)
-        super().__init__(socket, wire, self._outbox)
-        self._requests = Requests(cell, self._encoding, self._outbox)
+        super().__init__(socket, wire, self._outbox, quota)
+        self._requests = Requests(cell, self._encoding, self._outbox, quota)
         self._answers: list[bytes] = []  # those that the socket does not take
         self._wrong_in_a_row = 0
         self._clogged = False
@@ -106,10 +117,10 @@ class Client(Guest):
         """How many of its last messages were wrong."""
         return self._wrong_in_a_row
 
-    async def serve(self, first: messages.Subscribe | None) -> None:
+    async def serve(self, first: messages.Subscribe | None, access: messages.AccessMode) -> None:
         """Read until the client leaves; it is written to when its turn comes."""
         try:
-            self._owe(self._requests.welcome())
+            self._owe(self._requests.welcome(access))
             if first is not None:
                 await self._answer(first)
             async with anyio.create_task_group() as tasks:

@@ -19,6 +19,12 @@ from gateway.server.rest import EventList, RobotList, SchemaList
 
 _Schema = dict[str, object]
 _REF = "#/components/schemas/{name}"
+_SCHEMES: _Schema = {
+    "bearer": {"type": "http", "scheme": "bearer", "description": "A token of the gateway."},
+    "query": {"type": "apiKey", "in": "query", "name": "token", "description": "For clients that can send no header."},
+}
+# Without a token too: by default only programs of the gateway's own machine can connect, and need none.
+_SECURITY: list[dict[str, list[str]]] = [{"bearer": []}, {"query": []}, {}]
 _STRINGS: _Schema = {"type": "array", "items": {"type": "string"}, "minItems": 1}
 
 
@@ -55,6 +61,7 @@ class Address:
         media: Content type of the body.
         parameters: What it may be asked.
         errors: By status: why it may fail, and the struct that says so.
+        is_open: Whether it is answered without a token where others need one.
     """
 
     path: str
@@ -64,8 +71,10 @@ class Address:
     media: str = "application/json"
     parameters: Sequence[Parameter] = ()
     errors: Sequence[tuple[int, str, type[msgspec.Struct]]] = ()
+    is_open: bool = False
 
 
+_NO_TOKEN = (401, "A token is needed, and none that is known came along.", Failure)
 _BAD = (400, "A parameter is unknown or not what it should be.", Failure)
 _NO_TOPIC = (404, "There is no such topic.", Failure)
 _TOPIC = Parameter("topic", "`<robot>/<group>`.", {"type": "string"}, "path", required=True, example="r1/joints")
@@ -141,6 +150,7 @@ ADDRESSES = (
         "Whether the loop turns.",
         Health,
         errors=[_BAD, (503, "It has not turned for a while.", Failure)],
+        is_open=True,
     ),
     Address(
         "/readyz",
@@ -148,6 +158,7 @@ ADDRESSES = (
         "Whether every configured link has been tried.",
         Readiness,
         errors=[_BAD, (503, "Some have not.", Waiting)],
+        is_open=True,
     ),
 )
 
@@ -169,7 +180,7 @@ def openapi() -> _Schema:
         },
         "servers": [{"url": "http://127.0.0.1:8765", "description": "The default listener."}],
         "paths": {address.path: {"get": _operation(address)} for address in ADDRESSES},
-        "components": {"schemas": components},
+        "components": {"schemas": components, "securitySchemes": _SCHEMES},
     }
 
 
@@ -190,10 +201,14 @@ def _operation(address: Address) -> _Schema:
     if address.body is None and address.media == "application/json":
         found = {"schema": {"type": "object"}}
     responses: _Schema = {"200": {"description": address.text, "content": {address.media: found}}}
-    for status, text, struct in address.errors:
+    errors = list(address.errors)
+    if not address.is_open:
+        errors.append(_NO_TOKEN)
+    for status, text, struct in errors:
         responses[str(status)] = {"description": text, "content": {"application/json": {"schema": _ref(struct)}}}
     asked = {"parameters": [_parameter(one) for one in address.parameters]} if address.parameters else {}
-    return {"operationId": address.name, "summary": address.text, **asked, "responses": responses}
+    security: _Schema = {} if address.is_open else {"security": _SECURITY}
+    return {"operationId": address.name, "summary": address.text, **asked, "responses": responses, **security}
 
 
 def _parameter(one: Parameter) -> _Schema:

@@ -18,10 +18,10 @@ from gateway.api.model import Event
 from gateway.core.bus import Topic
 from gateway.core.clock import deadline_s
 from gateway.server.backlog import Backlog
-from gateway.server.cohort import QUEUED_SAMPLES, Batch, Cohorts, Shared, Wish
+from gateway.server.cohort import QUEUED_SAMPLES, Batch, Cohorts, Shared, Source, Wish
 from gateway.server.wire import Cut, Encoding, encode_events, encode_response
 
-__all__ = ["QUEUED_EVENTS", "QUEUED_SAMPLES", "Outbox", "Subscription", "Wish"]
+__all__ = ["QUEUED_EVENTS", "QUEUED_SAMPLES", "Outbox", "Source", "Subscription", "Wish"]
 
 QUEUED_EVENTS = 20_000
 # So many events, or samples of a backlog, leave in one turn: encoding more must not hold up the other clients.
@@ -38,24 +38,26 @@ class Subscription:
         wish: What was asked for.
         topics: What it matches.
         outbox: Where its samples leave.
+        source: Where it finds further topics; None: it takes no others.
     """
 
-    def __init__(self, wish: Wish, topics: Sequence[Topic], outbox: Outbox) -> None:
-        self.topics = tuple(topics)
+    def __init__(self, wish: Wish, topics: Sequence[Topic], outbox: Outbox, source: Source | None = None) -> None:
+        self._topics = tuple(topics)
+        self._source = source
         self.wish = wish
         self._outbox = outbox
         self.backlog = Backlog(outbox.missed, every=wish.every)
 
     def open(self) -> None:
         """Start listening; the latest readings are due at once."""
-        self._outbox.cohorts.join(self.wish, self.topics, self)
-        first = [(topic, topic.latest) for topic in self.topics if topic.latest is not None]
+        cohort = self._outbox.cohorts.join(self.wish, self._topics, self, self._source)
+        first = [(topic, topic.latest) for topic in cohort.topics if topic.latest is not None]
         if first:
             self.receive(Batch(self.wish.cut, first))
 
     def close(self) -> None:
         """Stop listening."""
-        self._outbox.cohorts.leave(self.wish, self.topics, self)
+        self._outbox.cohorts.leave(self.wish, self._topics, self, self._source)
 
     def receive(self, batch: Batch) -> None:
         """Take readings that are due."""
@@ -152,6 +154,10 @@ class Outbox:
         for name in list(self.subscriptions):
             self.remove(name)
         self.cohorts.forget(self)
+
+    def pace(self, flush_s: float) -> None:
+        """Collect samples without a rate for another time from now on, as all do that share its cohorts."""
+        self.cohorts.pace(flush_s)
 
     def owe(self, subscription: Subscription, batch: Batch) -> None:
         """Take readings that are due."""

@@ -18,7 +18,8 @@ from gateway.api.model import Event
 from gateway.core.bus import Topic
 from gateway.core.events import EventRing, parse_name
 from gateway.server.cell import Cell
-from gateway.server.outbox import QUEUED_EVENTS, QUEUED_SAMPLES, Outbox, Subscription, Wish
+from gateway.server.limits import Quota
+from gateway.server.outbox import QUEUED_EVENTS, QUEUED_SAMPLES, Outbox, Source, Subscription, Wish
 from gateway.server.wire import Cut, Encoding
 
 # No topic and no name of a field is nearly as long; matching longer ones would cost the other clients time.
@@ -69,20 +70,27 @@ class Requests:
         cell: What it may read.
         encoding: What its samples are encoded in.
         outbox: Where they leave.
+        quota: What it may take of its peer's share; None: as much as it wants.
     """
 
-    def __init__(self, cell: Cell, encoding: Encoding, outbox: Outbox) -> None:
+    def __init__(self, cell: Cell, encoding: Encoding, outbox: Outbox, quota: Quota | None = None) -> None:
         self._cell = cell
         self._encoding = encoding
         self._outbox = outbox
+        self._quota = quota
 
-    def welcome(self) -> messages.Welcome:
-        """What every client is told first."""
+    def welcome(self, access: messages.AccessMode = "loopback") -> messages.Welcome:
+        """What every client is told first.
+
+        Args:
+            access: Who is let in.
+        """
         return messages.Welcome(
             gateway=__version__,
             robots=list(self._cell.robots),
-            last_event=self._cell.bus.events.last_name,
+            last_event=self._cell.last_event,
             limits=messages.Limits(queued_samples=QUEUED_SAMPLES, queued_events=QUEUED_EVENTS),
+            access=access,
         )
 
     def answer(self, request: messages.Request) -> messages.Result:
@@ -94,7 +102,7 @@ class Requests:
         if not isinstance(request, _OfTopics):
             return self._HANDLERS[type(request)](self, request)
         _check_names("topic", request.topics)
-        return self._answer_of(request, self._cell.bus.match(request.topics))
+        return self._answer_of(request, self._cell.match(request.topics))
 
     async def answer_in_turns(self, request: messages.Request) -> messages.Result:
         """The same; where finding its topics takes long, the other clients have their turn.
@@ -108,10 +116,10 @@ class Requests:
         found: set[Topic] = set()
         distinct = list(dict.fromkeys(request.topics))
         for at in range(0, len(distinct), _GLOBS_A_TURN):
-            found.update(self._cell.bus.match(distinct[at : at + _GLOBS_A_TURN]))
+            found.update(self._cell.match(distinct[at : at + _GLOBS_A_TURN]))
             if at + _GLOBS_A_TURN < len(distinct):
                 await anyio.lowlevel.checkpoint()
-        return self._answer_of(request, [topic for topic in self._cell.bus.topics.values() if topic in found])
+        return self._answer_of(request, [topic for topic in self._cell.topics.values() if topic in found])
 
     def _answer_of(self, request: _OfTopics, topics: list[Topic]) -> messages.Result:
         if not topics:
@@ -128,7 +136,11 @@ class Requests:
         resumed = None if request.since is None else self._read_back(request.since, sys.maxsize, topics)
         period_s = None if request.rate_hz is None else 1 / request.rate_hz
         wish = Wish(period_s=period_s, every=request.mode == "all", cut=cut)
-        self._outbox.add(request.id, Subscription(wish, topics, self._outbox))
+        if self._quota is not None and request.id not in subscriptions and not self._quota.take():
+            raise BadRequest("TOO_MUCH", self._quota.words)
+        cell = self._cell
+        source = Source(bus=cell.bus, patterns=tuple(sorted(set(request.topics))), scope=cell.scope)
+        self._outbox.add(request.id, Subscription(wish, topics, self._outbox, source))
         if resumed is not None:
             self._outbox.resume(*resumed)
         last_events = [ring.last_name for ring in _rings(topics)]
@@ -137,6 +149,8 @@ class Requests:
     def _unsubscribe(self, request: messages.Unsubscribe) -> messages.Result:
         if not self._outbox.remove(request.id):
             raise BadRequest("BAD_REQUEST", f"there is no subscription {request.id!r}")
+        if self._quota is not None:
+            self._quota.give()
         return messages.Result(id=request.id)
 
     def _get(self, request: messages.Get, topics: list[Topic]) -> messages.Result:
@@ -150,7 +164,7 @@ class Requests:
         return messages.Result(id=request.id, robots=self._cell.infos())
 
     def _describe(self, request: messages.Describe) -> messages.Result:
-        topic = self._cell.bus.topics.get(request.topic)
+        topic = self._cell.topics.get(request.topic)
         if topic is None:
             _check_names("topic", [request.topic])
             raise BadRequest("UNKNOWN_TOPIC", self._cell.unknown_topic([request.topic]))
@@ -180,7 +194,7 @@ class Requests:
             raise BadRequest("BAD_REQUEST", str(error)) from None
         if len(boots) < len(names):
             raise BadRequest("BAD_REQUEST", "since names a ring more than once: give the last event of each ring")
-        all_known = boots.keys() <= {ring.boot for ring in _rings(self._cell.bus.topics.values())}
+        all_known = boots.keys() <= {ring.boot for ring in _rings(self._cell.topics.values())}
         found: list[list[Event]] = []
         gone: int | None = 0
         for ring, robots in _rings(topics).items():

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from typing import Annotated
 
 import msgspec
 from aiohttp import web
+from msgspec import Meta
 
 from gateway.api import messages
 from gateway.api.describe import group_schema
 from gateway.api.messages import RobotInfo
 from gateway.api.model import GROUPS, Delivery, Event, Sample
 from gateway.core.bus import Topic
+from gateway.server.access import ACCESS, cell_of
 from gateway.server.answers import answer, converted, encoded, parameters, splitted
 from gateway.server.bookmark import Bookmark
 from gateway.server.cell import Cell
-from gateway.server.native import CELL
 from gateway.server.outbox import Outbox
 from gateway.server.requests import BadRequest, Requests
 from gateway.server.wire import JSON, Cut, Json, encode_events
@@ -29,6 +31,10 @@ class RobotList(msgspec.Struct, frozen=True, kw_only=True):
     """Every robot with the state of its link."""
 
     robots: list[RobotInfo]
+    access: Annotated[
+        messages.AccessMode,
+        Meta(description="Who is let in: programs of this machine, who has a token, or everybody without one."),
+    ]
 
 
 class EventList(msgspec.Struct, frozen=True, kw_only=True):
@@ -68,7 +74,7 @@ _ARRAY = _Array()
 async def robots(request: web.Request) -> web.Response:
     """Every robot with the state of its link."""
     parameters(request)
-    return answer(RobotList(robots=request.app[CELL].infos()))
+    return answer(RobotList(robots=cell_of(request).infos(), access=request.app[ACCESS].mode))
 
 
 async def robot(request: web.Request) -> web.Response:
@@ -79,7 +85,7 @@ async def robot(request: web.Request) -> web.Response:
     """
     parameters(request)
     name = request.match_info["name"]
-    infos = {info.name: info for info in request.app[CELL].infos()}
+    infos = {info.name: info for info in cell_of(request).infos()}
     if name not in infos:
         known = ", ".join(infos) or "none"
         raise BadRequest("UNKNOWN_ROBOT", f"there is no robot {name[:_MAX_NAME]!r}; there are: {known}")
@@ -93,7 +99,7 @@ async def topic(request: web.Request) -> web.Response:
         BadRequest: There is none of this name, it lacks a field, or nothing has come yet.
     """
     found = splitted(parameters(request, "fields"), "fields")
-    cell = request.app[CELL]
+    cell = cell_of(request)
     asked = _topic(cell, request.match_info["topic"])
     if asked.ring is not None:
         words = f"{asked.name} holds events: read /api/v1/events?topics={asked.name}"
@@ -112,11 +118,11 @@ async def events(request: web.Request) -> web.Response:
     """
     found = splitted(parameters(request, "since", "limit", "topics"), "since", "topics")
     wish = converted({"id": "url", **found}, messages.Events)
-    cell = request.app[CELL]
+    cell = cell_of(request)
     result = Requests(cell, JSON, Outbox(JSON, 0.0, time.monotonic)).answer(wish)
     read = result.events or []
     since = [wish.since] if isinstance(wish.since, str) else wish.since
-    bookmark = Bookmark(cell.bus.match(wish.topics), since, from_oldest=True)
+    bookmark = Bookmark(cell.match(wish.topics), since, from_oldest=True)
     if len(read) < wish.limit:
         bookmark.move_to_end()
     else:
@@ -144,12 +150,12 @@ async def schema(request: web.Request) -> web.Response:
         BadRequest: There is none of this name.
     """
     parameters(request)
-    cell = request.app[CELL]
+    cell = cell_of(request)
     return answer(cell.describe(_topic(cell, request.match_info["topic"])))
 
 
 def _topic(cell: Cell, name: str) -> Topic:
-    found = cell.bus.topics.get(name)
+    found = cell.topics.get(name)
     if found is None:
         raise BadRequest("UNKNOWN_TOPIC", cell.unknown_topic([name[:_MAX_NAME]]))
     return found

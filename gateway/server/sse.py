@@ -17,9 +17,11 @@ import structlog
 from aiohttp import hdrs, web
 
 from gateway.api.messages import Missed, Request, Subscribe
+from gateway.server.access import ACCESS, REVOKED, announced, caller_of, cell_of
 from gateway.server.answers import converted, parameters, splitted
 from gateway.server.bookmark import Bookmark
-from gateway.server.native import CELL, PACE
+from gateway.server.limits import PEERS, Quota
+from gateway.server.native import PACE
 from gateway.server.outbox import Outbox
 from gateway.server.requests import BadRequest, Requests
 from gateway.server.traffic import DOORS, Traffic
@@ -109,11 +111,22 @@ class Stream:
         self._stuck_s = request.app[PACE].stuck_s
         self._traffic = request.app[DOORS]["sse"]
         self._written_s = time.monotonic()
+        self.caller = caller_of(request)
         self.ended: str | None = None
+        self._farewell: str | None = None
 
-    def stop(self) -> None:
-        """End the stream: the gateway is going."""
-        self.ended = _STOPPING
+    @property
+    def transport(self) -> asyncio.BaseTransport | None:
+        """What the connection stands on; None: it is lost."""
+        return self._request.transport
+
+    def pace(self, flush_s: float) -> None:
+        """Collect its samples for another time from now on."""
+        self._outbox.pace(flush_s)
+
+    def stop(self, why: str = _STOPPING) -> None:
+        """End the stream: the gateway is going, or does not let this client in any longer."""
+        self.ended = self._farewell = why
         self._outbox.wake_by(time.monotonic())
 
     async def serve(self) -> None:
@@ -135,8 +148,8 @@ class Stream:
                 await anyio.lowlevel.checkpoint()  # the other clients have their turn
             elif time.monotonic() - self._written_s >= HEARTBEAT_S:
                 await self._beat()
-        if self.ended == _STOPPING:
-            await self._send(b": %b\n\n" % _STOPPING.encode())
+        if self._farewell is not None:
+            await self._send(b": %b\n\n" % self._farewell.encode())
 
     async def _beat(self) -> None:
         """Show that the stream lives; a client that has been idle for long is spared old holes of its rings."""
@@ -188,8 +201,9 @@ async def stream(request: web.Request) -> web.StreamResponse:
     traffic = request.app[DOORS]["sse"]
     encoding = Sse(traffic)
     outbox = Outbox(encoding, request.app[PACE].flush_s, time.monotonic)
+    quota = Quota(request.app[PEERS], request.remote)
     try:
-        _subscribe(request, outbox, encoding)
+        _subscribe(request, outbox, encoding, quota)
         if request.method == hdrs.METH_HEAD:
             return web.Response(headers=_HEADERS)
         response = web.StreamResponse(headers=_HEADERS)
@@ -201,16 +215,17 @@ async def stream(request: web.Request) -> web.StreamResponse:
         request.app[STREAMS].add(open_stream)
         traffic.clients += 1
         try:
-            await _serve(open_stream, _LOG.bind(peer=request.remote))
+            await _serve(open_stream, request)
         finally:
             traffic.clients -= 1
             request.app[STREAMS].discard(open_stream)
         return response
     finally:
         outbox.close()
+        quota.close()
 
 
-def _subscribe(request: web.Request, outbox: Outbox, encoding: Sse) -> None:
+def _subscribe(request: web.Request, outbox: Outbox, encoding: Sse, quota: Quota) -> None:
     """Open what the URL asks for; a `Last-Event-ID` is newer than the `since` that a page began with."""
     found = parameters(request, "topics", "rate_hz", "mode", "fields", "since")
     if "topics" not in found:
@@ -219,14 +234,16 @@ def _subscribe(request: web.Request, outbox: Outbox, encoding: Sse) -> None:
     if last_id:
         found["since"] = last_id
     wish = converted({"id": "url", **splitted(found, "topics", "fields", "since")}, Subscribe)
-    cell = request.app[CELL]
-    Requests(cell, encoding, outbox).answer(wish)
+    cell = cell_of(request)
+    Requests(cell, encoding, outbox, quota).answer(wish)
     since = [wish.since] if isinstance(wish.since, str) else wish.since
-    encoding.bookmark = Bookmark(cell.bus.match(wish.topics), since)
+    encoding.bookmark = Bookmark(cell.match(wish.topics), since)
 
 
-async def _serve(open_stream: Stream, log: structlog.typing.FilteringBoundLogger) -> None:
-    log.debug("subscriber.connected")
+async def _serve(open_stream: Stream, request: web.Request) -> None:
+    log = announced(request)
+    if not request.app[ACCESS].is_current(open_stream.caller):  # its token went while the response began
+        open_stream.stop(REVOKED)
     try:
         await open_stream.serve()
     except ConnectionError:

@@ -57,6 +57,7 @@ async def virtual_cell(
     seed: int = 0,
     keep: int = 0,
     settings: Mapping[str, object] | None = None,
+    server: Mapping[str, object] | None = None,
     simulated: msgspec.Struct | None = None,
     registry: Registry | None = None,
 ) -> AsyncIterator[VirtualCell]:
@@ -73,6 +74,8 @@ async def virtual_cell(
         keep: How many of the last frames each controller keeps with what they meant.
         settings: Further keys of each robot's entry in the configuration, such as `rate_hz`, or `cnde` for the table of
             that protocol's options.
+        server: Further keys of the table `[server]`, such as `tokens`; it listens on a free port of this
+            machine unless `listen` says otherwise.
         simulated: Options of the virtual controllers; None: their defaults.
         registry: Where the plugin is found.
 
@@ -101,7 +104,8 @@ async def virtual_cell(
                 calls=lambda number: {chosen: ("127.0.0.1", ports[number])} if ports[number] else {},
             ),
         )
-        text = '[server]\nlisten = "127.0.0.1:0"\n'
+        doors = {"listen": "127.0.0.1:0", **(server or {})}
+        text = "[server]\n" + "".join(f"{key} = {toml_value(value)}\n" for key, value in doors.items())
         for number, controller in enumerate(controllers, start=1):
             entry = {
                 "name": f"r{number}",

@@ -75,7 +75,9 @@ async def test_what_cannot_be_followed_is_said(arguments: list[str], code: int, 
     assert done.out == ""
 
 
-@pytest.mark.parametrize("arguments", ["tail --all", "tail -f json --all", "tail r1/joints -f csv --all", "status"])
+@pytest.mark.parametrize(
+    "arguments", ["tail --all", "tail -f json --all", "tail r1/joints -f csv --all", "status", "status --watch"]
+)
 async def test_a_pipe_that_closes_early_is_no_error(arguments: str) -> None:
     async with running_cell() as gateway:
         line = f"{shlex.quote(sys.executable)} -m gateway {arguments} --url {gateway.url} | head -1"

@@ -30,6 +30,7 @@ from gateway.core.bus import Bus
 from gateway.core.events import EventRing
 from gateway.server.cell import Cell
 from gateway.server.http import listening
+from gateway.server.settings import DoorSettings
 from gateway.testing.cell import free_port
 from tests.server.kit import BOOT, Robot, cell, publish, raise_command, raise_event, reading, running_door
 
@@ -42,7 +43,7 @@ def at_once() -> Iterator[float]:
 @asynccontextmanager
 async def door(bus: Bus, robots: list[Robot], port: int) -> AsyncIterator[None]:
     """The doors of a gateway on a port of one's choice."""
-    async with listening(Cell(robots, bus), "127.0.0.1", port, 0.0):
+    async with listening(Cell(robots, bus), "127.0.0.1", port, DoorSettings()):
         yield
 
 

@@ -133,9 +133,9 @@ def test_a_pushed_protocol_has_no_rate(registry: Registry) -> None:
 
 SERVER = [
     ('listen = "0.0.0.0:8765"', 'server.listen: "0.0.0.0:8765" would be open to other machines'),
-    ('listen = "[::]:8765"', "only 127.0.0.1, [::1] and localhost may be used"),
-    ('listen = "10.0.0.1:8765"', "access control is not there yet"),
-    ('listen = "gateway.local:8765"', "access control is not there yet"),
+    ('listen = "[::]:8765"', "set server.tokens to a file of tokens"),
+    ('listen = "10.0.0.1:8765"', "or insecure = true to let everybody read everything"),
+    ('listen = "gateway.local:8765"', "would be open to other machines"),
     ('listen = "127.0.0.1"', 'server.listen: "127.0.0.1" is not an address and a port like "127.0.0.1:8765"'),
     ('listen = "::1:8765"', 'an IPv6 address stands in brackets: "[::1]:8765"'),
     ('listen = "[x]:8765"', 'server.listen: "x" is no IPv6 address'),
@@ -151,7 +151,7 @@ SERVER = [
     ("event_ring = 10.5", "server.event_ring: 10.5 is not a whole number"),
     ("event_ring = 99999999999999999999999", "is not a whole number"),
     ("listn = 1", 'server.listn: unknown key; did you mean "listen"?'),
-    ("zzz = 1", "server.zzz: unknown key; the keys here are: listen, flush_ms, event_ring, command_ring"),
+    ("zzz = 1", "server.zzz: unknown key; the keys here are: listen, insecure, tokens, "),
     ("vendor_dirs = []", "server.vendor_dirs: belongs at the top of the file, above the first [table]"),
 ]
 

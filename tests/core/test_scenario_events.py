@@ -25,7 +25,7 @@ _EVERYTHING = Scenario(
     "everything",
     "all that a robot of the demo goes through",
     (
-        _phase("idle", seconds=1.0),
+        _phase("idle", seconds=3.0),
         _phase("program runs", rate=1.0, program=ProgramState.RUNNING),
         _phase("program pauses", program=ProgramState.PAUSED),
         _phase("program runs", rate=1.0, program=ProgramState.RUNNING),
@@ -66,7 +66,8 @@ _READ: dict[tuple[str, str], dict[str, object]] = {
 _ALL = {
     kind.value
     for kind in EventKind
-    if not kind.value.startswith("command.") and kind not in {EventKind.LINK_LOST, EventKind.LINK_INCOMPATIBLE}
+    if not kind.value.startswith(("command.", "robot."))
+    and kind not in {EventKind.LINK_LOST, EventKind.LINK_INCOMPATIBLE}
 }
 _NO_PAUSE = "the controller's word for a program that pauses is the one for a program that stands"
 # protocol -> the kinds that it cannot bring, each with the reason

@@ -35,6 +35,7 @@ from gateway.core.events import EventRing
 from gateway.core.settings import BrokenRobot, RobotSettings
 from gateway.server.cell import Cell
 from gateway.server.http import listening
+from gateway.server.settings import DoorSettings
 from tests.core import toy
 
 GROUPS = ("joints", "tcp", "status", "safety", "link", "link_stats", "events", "vendor")
@@ -118,7 +119,8 @@ def now_us() -> int:
 
 
 @asynccontextmanager
-async def doors(cell: HandMade, port: int = 0) -> AsyncIterator[str]:
+async def doors(cell: HandMade, port: int = 0, settings: DoorSettings | None = None) -> AsyncIterator[str]:
     """Open the doors; yields the address of the native one."""
-    async with listening(Cell(cell.robots, cell.bus), "127.0.0.1", port, 0.002) as found:
-        yield f"ws://127.0.0.1:{found}/ws"
+    told = settings or DoorSettings(flush_s=0.002)
+    async with listening(Cell(cell.robots, cell.bus), "127.0.0.1", port, told) as one:
+        yield f"ws://127.0.0.1:{one.port}/ws"

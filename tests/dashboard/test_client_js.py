@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import shutil
 from pathlib import Path
@@ -13,6 +14,8 @@ import pytest
 
 from gateway.api.model import EventKind
 from gateway.server import pages
+from gateway.testing.cell import virtual_cell
+from tests.client.secured import ONLY_R1, asking
 from tests.dashboard.browser import browsing, needs_chromium, open_page, page_url
 from tests.dashboard.kit import HandMade, doors
 
@@ -32,6 +35,36 @@ _EVENTS = """async (url) => {
     gateway.subscribe(['*/events'], {
       onEvent: (event) => names.push(event.name), onMissed: ({ events }) => missed.push(events), onTopics,
     });
+  });
+}"""
+_TWO = """async (url) => {
+  const { connect } = await import('./client.js');
+  const gateway = window.gateway = connect(url);
+  window.all = [];
+  window.one = [];
+  const listening = (topics, onEvent) => new Promise((onTopics) => {
+    gateway.subscribe(topics, { onEvent, onTopics });
+  });
+  await listening(['*/events'], () => { throw new Error('of the handler'); });
+  await listening(['*/events'], (event) => all.push(event.name));
+  await listening(['r2/events'], (event) => one.push(event.name));
+}"""
+_LET_IN = """async ([url, token, wrong]) => {
+  const { connect } = await import('./client.js');
+  const gateway = window.gateway = connect(url, { token });
+  const names = (await gateway.robots()).map((robot) => robot.name);
+  let said;
+  try { connect(url, { token: wrong }); } catch (error) { said = `${error.code}: ${error.message}`; }
+  return [names, gateway.welcome.access, gateway._socket.protocol, said];
+}"""
+_GLOBS = """async (url) => {
+  const { connect } = await import('./client.js');
+  const gateway = window.gateway = connect(url);
+  window.kinds = [];
+  window.topics = new Set();
+  await new Promise((onTopics) => {
+    gateway.subscribe(['*/event[s]'], { onEvent: (event) => kinds.push(event.kind) });
+    gateway.subscribe(['r?/join*', '[z-a]/x'], { onSample: (sample) => topics.add(sample.topic), onTopics });
   });
 }"""
 _REFUSED = """async (url) => {
@@ -112,6 +145,60 @@ async def test_what_the_gateway_refuses_has_its_code() -> None:
         watched = await open_page(context, f"{page_url(url)}client.js")
         found = await watched.page.evaluate(_REFUSED, url)
         assert found == ["UNKNOWN_TOPIC", "UNKNOWN_TOPIC", "BAD_MESSAGE", 7, "CLOSED", "CLOSED", "closed"]
+
+
+@needs_chromium
+async def test_each_subscription_reads_on_by_itself_and_a_handler_that_fails_costs_no_other_message() -> None:
+    cell = HandMade("r1", "r2")
+    async with browsing() as context:
+        async with doors(cell) as url:
+            port = int(url.rsplit(":", 1)[1].split("/")[0])
+            watched = await open_page(context, f"{page_url(url)}icon.svg")
+            await watched.page.goto(f"{page_url(url)}client.js")
+            await watched.page.evaluate(_TWO, url)
+            raise_events(cell, 2)
+            cell.raise_event("r2", EventKind.MODE_CHANGED, 0, 1)
+            await watched.until("all.length === 3 && one.length === 1")
+        cell.raise_event("r2", EventKind.MODE_CHANGED, 1, 2)
+        raise_events(cell, 1)
+        async with doors(cell, port):
+            await watched.until("all.length === 5 && one.length === 2")
+            cell.raise_event("r2", EventKind.MODE_CHANGED, 2, 3)
+            await watched.until("all.length === 6 && one.length === 3")
+            assert await watched.page.evaluate("all") == [f"b00t:{number}" for number in range(1, 7)]
+            assert await watched.page.evaluate("one") == ["b00t:3", "b00t:4", "b00t:6"]
+            thrown = [complaint for complaint in watched.complaints if "exception: " in complaint]
+            assert thrown == ["exception: of the handler"] * 6
+            await watched.page.close()
+
+
+@needs_chromium
+async def test_a_token_is_said_as_a_subprotocol_and_stands_in_no_address_and_no_error() -> None:
+    async with doors(HandMade("r1", "r2"), settings=asking()) as url, browsing() as context:
+        watched = await open_page(context, f"{page_url(url)}client.js")
+        asked: list[str] = []
+        watched.page.on("websocket", lambda socket: asked.append(socket.url))
+        told = await watched.page.evaluate(_LET_IN, [url, ONLY_R1, "no token"])
+        assert told == [
+            ["r1"],
+            "tokens",
+            "robot-gateway.v1+json",
+            "BAD_TOKEN: the token is empty or has characters that no token has",
+        ]
+        assert asked == [url]
+        assert ONLY_R1 not in await watched.page.evaluate("JSON.stringify({ ...gateway, _socket: null })")
+
+
+@needs_chromium
+async def test_a_robot_that_is_added_belongs_to_the_globs_that_match_it() -> None:
+    async with virtual_cell("rainbow", count=2) as cell, browsing() as context:
+        whole = cell.gateway.config
+        await cell.gateway.reload(dataclasses.replace(whole, robots=whole.robots[:1]))
+        watched = await open_page(context, f"{page_url(cell.url)}client.js")
+        await watched.page.evaluate(_GLOBS, cell.url)
+        await cell.gateway.reload(whole)
+        await watched.until("kinds.includes('robot.added') && topics.has('r2/joints')")
+        assert await watched.page.evaluate("[...topics].some((topic) => !/^r[12].joints$/.test(topic))") is False
 
 
 def raise_events(cell: HandMade, count: int) -> None:

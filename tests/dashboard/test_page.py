@@ -184,7 +184,7 @@ async def test_hostile_words_of_a_vendor_are_shown_as_text() -> None:
         assert await watched.text(".card h3") == name
         await shows(watched, f"{card('r2')} .link-line", HOSTILE)
         await shows(watched, "#event-rows .change", HOSTILE)
-        assert await numbers(watched, ".card:first-child .joints .number")  # its topics are found in spite of its name
+        await watched.page.locator(".card:first-child .joints .number").first.wait_for()  # its topics are found
         assert await watched.page.locator("main img, main script, main b").count() == 0
         assert await watched.page.title() == "Robot gateway"
         assert watched.complaints == []

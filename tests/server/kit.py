@@ -17,6 +17,7 @@ from gateway.core.events import EventRing
 from gateway.core.settings import BrokenRobot, RobotSettings
 from gateway.server.cell import Cell
 from gateway.server.http import listening
+from gateway.server.settings import DoorSettings
 from tests.core import toy
 
 BOOT = "b00t"
@@ -110,10 +111,11 @@ async def running_door(
     *,
     flush_s: float = 0.0,
     stuck_s: float = 10.0,
+    settings: DoorSettings | None = None,
 ) -> AsyncIterator[str]:
     """Open the doors on a free port; yields the address of the native one."""
-    async with listening(Cell(robots, bus), "127.0.0.1", 0, flush_s, stuck_s) as port:
-        yield f"ws://127.0.0.1:{port}/ws"
+    async with listening(Cell(robots, bus), "127.0.0.1", 0, settings or DoorSettings(flush_s=flush_s), stuck_s) as one:
+        yield f"ws://127.0.0.1:{one.port}/ws"
 
 
 class Talk:

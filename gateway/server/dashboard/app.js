@@ -3,11 +3,14 @@
 import { Card } from "./cards.js";
 import { Chart } from "./charts.js";
 import { connect } from "./client.js";
+import { lay, sayNone } from "./deck.js";
 import { el, mark, write } from "./dom.js";
+import { enter, knock, leave } from "./entrance.js";
 import { EventLog } from "./events.js";
 import { RawFields } from "./fields.js";
 import { clock } from "./format.js";
 import { Robot, exact } from "./store.js";
+import { themes } from "./themes.js";
 
 const JOINTS_HZ = 30;
 const TCP_HZ = 10;
@@ -17,16 +20,20 @@ const MAX_CHARTS = 6;
 const TICK_MS = 1000;
 const ROBOTS_EVERY_MS = 10_000;
 const SETTLE_MS = 120;
+const STATES = ["link", "status", "safety", "link_stats"];
+const EDGES = ["events", "commands"];
 
 const $ = (id) => document.getElementById(id);
 
 class Page {
-  constructor() {
+  constructor(token) {
+    this.token = token;
     const address = new URL("ws", document.baseURI);
     address.protocol = address.protocol.replace("http", "ws");
     address.search = address.hash = "";
-    this.gateway = connect(address);
+    this.gateway = connect(address, { token });
     this.robots = new Map();
+    this.renewed = new Set(); // names of robots whose entry in the configuration has changed
     this.cards = new Map();
     this.charts = [];
     this.visible = new Set();
@@ -56,6 +63,8 @@ class Page {
     document.addEventListener("visibilitychange", () => this.wake());
     window.addEventListener("online", () => this.gateway.retry());
     setInterval(() => this.tick(), TICK_MS);
+    $("forget").hidden = token === null;
+    $("forget").addEventListener("click", () => leave());
     this.turn(this.gateway.state, null);
   }
 
@@ -75,6 +84,17 @@ class Page {
     for (const card of this.cards.values()) card.changed();
     this.fields.wake();
     if (live) this.begin();
+    else if (state === "lost" && this.before === "connecting") this.knock();
+    this.before = state;
+  }
+
+  /** A handshake has failed: perhaps because the gateway asks for a token now, or for another one. */
+  async knock() {
+    if (this.knocking) return;
+    this.knocking = true;
+    const found = await knock(this.token);
+    this.knocking = false;
+    if (found === "refused") leave({ withdrawn: this.token !== null });
   }
 
   warn(reason) {
@@ -84,7 +104,7 @@ class Page {
   }
 
   complain(error) {
-    if (error.code === "UNKNOWN_TOPIC" && !this.robots.size) return; // a gateway without robots
+    if (error.code === "UNKNOWN_TOPIC") return this.lookAgain(); // the gateway has other robots than this page knows of
     write($("banner"), `The gateway refused a request of this page: ${error.message}`);
     $("banner").hidden = false;
   }
@@ -92,51 +112,92 @@ class Page {
   async begin() {
     write($("version"), this.gateway.welcome.gateway);
     await this.loadRobots();
-    if (this.states || !this.robots.size) return;
-    const onSample = (sample) => this.take(sample);
-    this.states = this.gateway.subscribe(["*/link", "*/status", "*/safety", "*/link_stats"], { onSample });
-    this.edges = this.gateway.subscribe(["*/events", "*/commands"], {
-      onEvent: (event) => this.events.add(event),
-      onMissed: (missed) => missed.events !== 0 && this.events.addMissed(missed.events),
-      onTopics: (_, lastEvents) => this.loadHistory(lastEvents),
-    });
-    this.addChart();
+    if (this.robots.size && !this.charts.length && !this.begun) this.addChart();
+    this.begun ||= this.robots.size > 0;
   }
 
-  /** Ask which robots there are; the gateway may have others after it was started again. */
+  /** Be subscribed to what the robots have, and a token may see. */
+  subscribe(fresh) {
+    const onSample = (sample) => this.take(sample);
+    this.states = this.keep(this.states, STATES, { onSample }, fresh);
+    this.edges = this.keep(
+      this.edges,
+      EDGES,
+      {
+        onEvent: (event) => this.takeEvent(event),
+        onMissed: (missed) => missed.events !== 0 && this.events.addMissed(missed.events),
+        onTopics: (_, lastEvents) => this.loadHistory(lastEvents),
+      },
+      fresh,
+    );
+  }
+
+  keep(subscription, groups, options, fresh) {
+    const robots = [...this.robots.values()];
+    const topics = groups.filter((group) => robots.some((robot) => robot.info.groups.includes(group))).map((group) => `*/${group}`);
+    if (!topics.length) {
+      subscription?.close();
+      return null;
+    }
+    if (!subscription) return this.gateway.subscribe(topics, options);
+    if (fresh || topics.join() !== subscription.topics.join()) subscription.update(topics); // its answer brings what they say now
+    return subscription;
+  }
+
+  takeEvent(event) {
+    this.events.add(event);
+    if (!event.kind.startsWith("robot.")) return; // it was added to the configuration, changed, or removed
+    if (event.kind === "robot.changed") this.renewed.add(event.robot);
+    this.lookAgain();
+  }
+
+  lookAgain() {
+    clearTimeout(this.again);
+    this.again = setTimeout(() => this.world.live && this.begin(), SETTLE_MS);
+  }
+
+  /** Ask which robots there are: it may be others after a reload or a new start of the gateway. */
   async loadRobots() {
     clearTimeout(this.robotsTimer);
     try {
       const infos = await this.gateway.robots();
       const known = JSON.stringify([...this.robots.values()].map(({ info }) => kind(info)));
-      if (JSON.stringify(infos.map(kind)) !== known) this.rebuild(infos);
+      if (this.renewed.size || JSON.stringify(infos.map(kind)) !== known) this.rebuild(infos);
     } catch (error) {
       if (error.code !== "LOST" && error.code !== "CLOSED") this.complain(error);
       return;
     }
+    if (!this.robots.size) sayNone($("cards"), this.token !== null);
     this.summarise();
+    clearTimeout(this.robotsTimer);
     this.robotsTimer = setTimeout(() => this.world.live && this.begin(), ROBOTS_EVERY_MS);
   }
 
+  /** Take other robots; the cards of those that are the same live on. */
   rebuild(infos) {
-    const again = this.robots.size > 0;
+    const before = new Map(this.robots);
+    const cards = new Map(this.cards);
     this.robots.clear();
     this.cards.clear();
-    this.visible.clear();
-    this.watch.disconnect();
+    const fresh = [];
     for (const info of infos) {
-      const robot = new Robot(info);
+      const known = before.get(info.name);
+      const same = known && !this.renewed.has(info.name) && JSON.stringify(kind(known.info)) === JSON.stringify(kind(info));
+      const robot = same ? known : new Robot(info);
       this.robots.set(info.name, robot);
-      this.cards.set(info.name, new Card(robot, this.world));
+      this.cards.set(info.name, same ? cards.get(info.name) : new Card(robot, this.world));
+      if (!same) fresh.push(robot);
     }
-    $("cards").replaceChildren(...[...this.cards.values()].map((card) => card.root));
-    if (!infos.length) $("cards").append(el("p", { class: "empty", text: "No robots are configured." }));
-    for (const card of this.cards.values()) this.watch.observe(card.root);
+    this.renewed.clear();
+    lay($("cards"), cards, this.cards, this.watch);
+    for (const name of cards.keys()) if (this.cards.get(name) !== cards.get(name)) this.visible.delete(name);
+    const names = new Set(fresh.map((robot) => robot.name));
     this.events.offerRobots([...this.robots.keys()]);
-    this.fields.offer();
-    for (const chart of this.charts) chart.offer();
-    if (again) for (const one of [this.states, this.edges]) one?.update(one.topics);
-    for (const robot of this.robots.values()) this.learn(robot);
+    this.fields.offer(names);
+    for (const chart of this.charts) chart.offer(undefined, names);
+    this.subscribe(before.size > 0 && fresh.length > 0);
+    this.listen();
+    for (const robot of fresh) this.learn(robot);
   }
 
   /** Ask what a robot can never tell: it is not merely unknown. */
@@ -220,8 +281,12 @@ class Page {
   }
 
   summarise() {
-    if (!this.robots.size) return;
     const robots = [...this.robots.values()];
+    if (!robots.length) {
+      this.summarised = null;
+      $("summary").replaceChildren();
+      return;
+    }
     const online = robots.filter((robot) => robot.online).length;
     const all = `${robots.length} ${robots.length === 1 ? "robot" : "robots"} · ${online} online`;
     const told = robots
@@ -259,27 +324,16 @@ class Page {
 }
 
 const kind = ({ name, vendor, protocol, groups }) => [name, vendor, protocol, groups];
-const THEMES = ["system", "light", "dark"];
 
-function themes(page) {
-  const button = $("theme");
-  const root = document.documentElement;
-  const show = () => write(button, `Theme: ${root.dataset.theme ?? "system"}`);
-  const recolour = () => page.charts.forEach((chart) => chart.recolour());
-  button.addEventListener("click", () => {
-    const next = THEMES[(THEMES.indexOf(root.dataset.theme ?? "system") + 1) % THEMES.length];
-    if (next === "system") delete root.dataset.theme;
-    else root.dataset.theme = next;
-    try {
-      localStorage.setItem("theme", next);
-    } catch {
-      // no storage: it lasts as long as the page
-    }
-    show();
-    recolour();
-  });
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", recolour);
-  show();
-}
-
-themes(new Page());
+let page = null;
+themes($("theme"), () => page?.charts.forEach((chart) => chart.recolour()));
+page = new Page(
+  await enter({
+    section: $("entrance"),
+    form: $("token-form"),
+    token: $("token"),
+    keep: $("token-keep"),
+    error: $("token-error"),
+    chip: $("connection"),
+  }),
+);

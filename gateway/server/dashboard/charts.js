@@ -35,8 +35,9 @@ export class Chart {
     this.offer(choice);
   }
 
-  /** The robots have changed, or the connection is new: offer what there is. */
-  offer(choice = this._choice()) {
+  /** The robots have changed: offer what there is; `fresh`: names of those that are new or others than before. */
+  offer(choice = this._choice(), fresh = new Set()) {
+    if (fresh.has(this._topic?.slice(0, this._topic.lastIndexOf("/")))) this._topic = this._drawn = null;
     fill(this._robot, [...this._robots.keys()].map((name) => [name, name]), choice.robot);
     const groups = this._robots.get(this._robot.value)?.info.groups ?? [];
     fill(this._group, SHOWN_GROUPS.filter((name) => groups.includes(name)).map((name) => [name, name]), choice.group);

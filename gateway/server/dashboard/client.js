@@ -23,9 +23,19 @@ export class GatewayError extends Error {
   }
 }
 
-/** Connect to the native door of a gateway, for ever: `close()` ends it. */
-export function connect(url) {
-  return new Gateway(url);
+/**
+ * Connect to the native door of a gateway, for ever: `close()` ends it.
+ *
+ * Options: `token`, for a gateway that asks for one. It is said as the subprotocol `bearer.<token>`, never in the address,
+ * and stands in no error.
+ */
+export function connect(url, options = {}) {
+  return new Gateway(url, options);
+}
+
+/** Whether a text may be a token at all: only then can it be said in a handshake. */
+export function isToken(text) {
+  return typeof text === "string" && /^[\w!#$%&'*+.^`|~-]+$/.test(text);
 }
 
 /**
@@ -37,7 +47,11 @@ export function connect(url) {
  * - `onerror(error)`: called when the gateway refuses a subscription that nobody waits for.
  */
 export class Gateway {
-  constructor(url) {
+  #token;
+
+  constructor(url, { token = null } = {}) {
+    if (token !== null && !isToken(token)) throw new GatewayError("BAD_TOKEN", "the token is empty or has characters that no token has");
+    this.#token = token;
     this.url = String(url);
     this.state = "connecting";
     this.reason = null;
@@ -123,7 +137,7 @@ export class Gateway {
     this._say("connecting", this.reason);
     let socket;
     try {
-      socket = new WebSocket(this.url, SUBPROTOCOL);
+      socket = new WebSocket(this.url, this.#token === null ? SUBPROTOCOL : [SUBPROTOCOL, `bearer.${this.#token}`]);
     } catch (error) {
       this._drop("closed", error.message); // no address at all: trying again cannot help
       throw error;
@@ -165,7 +179,7 @@ export class Gateway {
     this._bestTripMs = Infinity;
     this._say("live", null);
     for (const subscription of this._subscriptions.values()) {
-      subscription.matched = new Set(); // what another one resumes before this one's answer is not for it
+      subscription._await(); // what another one resumes before this one's answer is not for it
       this._subscribe(subscription);
     }
     for (const request of this._queue.splice(0)) this._send(request);
@@ -176,7 +190,7 @@ export class Gateway {
     const topic = `${event.robot}/${event.kind.startsWith("command.") ? "commands" : "events"}`;
     const [boot, seq] = split(event.name);
     for (const subscription of [...this._subscriptions.values()]) {
-      if (!subscription.matched.has(topic)) continue;
+      if (!subscription._takes(topic)) continue;
       const known = subscription.rings.get(boot);
       if (known !== undefined && seq <= known) continue; // two subscriptions read the same ring from different places
       subscription.rings.set(boot, seq);
@@ -186,7 +200,7 @@ export class Gateway {
 
   _each(topic, handler, value) {
     for (const subscription of [...this._subscriptions.values()]) {
-      if (subscription.matched.has(topic)) call(subscription.options[handler], value);
+      if (subscription._takes(topic)) call(subscription.options[handler], value);
     }
   }
 
@@ -196,7 +210,7 @@ export class Gateway {
     const resumed = rings.size ? [...rings].map(([boot, seq]) => `${boot}:${seq}`) : since;
     const wish = { op: "subscribe", id, topics, rate_hz: rateHz, mode, fields, since: resumed };
     const resolve = (result) => {
-      subscription.matched = new Set(result.topics);
+      subscription._answer(result.topics);
       subscription._readFrom(result.last_events ?? [], resumed !== undefined);
       call(subscription.options.onTopics, result.topics, result.last_events ?? []);
     };
@@ -264,13 +278,13 @@ export class Gateway {
   }
 }
 
-/** One subscription of a gateway; `matched`: the names of its topics. */
+/** One subscription of a gateway; `matched`: the names of its topics, also of those that came later. */
 class Subscription {
   constructor(gateway, id, topics, options) {
     this.id = id;
     this.topics = topics;
     this.options = options;
-    this.matched = new Set();
+    this._await();
     this.rings = new Map(); // boot → seq of the last event
     this._gateway = gateway;
   }
@@ -287,6 +301,26 @@ class Subscription {
     if (!this._gateway._subscriptions.delete(this.id) || this._gateway.state !== "live") return;
     const text = JSON.stringify({ op: "unsubscribe", id: this.id });
     this._gateway._send({ id: this.id, text, resolve: () => {}, reject: () => {} });
+  }
+
+  _await() {
+    this.matched = new Set();
+    this._others = null; // names that its globs do not match; null: it is not answered yet
+  }
+
+  _answer(names) {
+    this.matched = new Set(names);
+    this._others = new Set();
+    this._globs = this.topics.map(expression);
+  }
+
+  /** Whether a topic is one of its own: of those that it was answered with, or of a robot that was added since. */
+  _takes(topic) {
+    if (this.matched.has(topic)) return true;
+    if (this._others === null || this._others.has(topic)) return false;
+    const own = this._globs.some((glob) => glob.test(topic));
+    (own ? this.matched : this._others).add(topic);
+    return own;
   }
 
   _readFrom(lastEvents, resumed) {
@@ -310,4 +344,18 @@ function call(handler, ...args) {
 function split(name) {
   const at = name.lastIndexOf(":");
   return [name.slice(0, at), Number(name.slice(at + 1))];
+}
+
+/** A topic glob as a regular expression: `*` and `?` as everywhere, `[abc]`, `[a-c]` and `[!abc]` for one character. */
+function expression(glob) {
+  const source = glob.replace(/\[(!?)(\]?[^\]]*)\]|[\s\S]/g, (part, not, set) => {
+    if (set !== undefined) return `[${not ? "^" : ""}${set.replace(/[\\\]^[]/g, "\\$&")}]`;
+    if (part === "*") return "[^]*";
+    return part === "?" ? "[^]" : part.replace(/[\\^$.|+()[\]{}/]/, "\\$&");
+  });
+  try {
+    return new RegExp(`^${source}$`);
+  } catch {
+    return /(?!)/; // such as [z-a]: it matches nothing
+  }
 }

@@ -20,8 +20,9 @@ export class RawFields {
     new IntersectionObserver(([entry]) => this._see(entry.isIntersecting), { rootMargin: "100px" }).observe(page.section);
   }
 
-  /** The robots that may be chosen. */
-  offer() {
+  /** The robots that may be chosen; `fresh`: names of those that are new or others than before. */
+  offer(fresh = new Set()) {
+    if (fresh.has(this._shown)) this._shown = null;
     const names = [...this._robots.values()].filter((robot) => robot.info.groups.includes("vendor")).map((robot) => robot.name);
     fill(this._page.robot, names.map((name) => [name, name]));
     this._choose();
@@ -35,7 +36,7 @@ export class RawFields {
 
   async _choose() {
     const robot = this._page.robot.value;
-    if (!robot) return this._tell("No robot has raw fields.");
+    if (!robot) return this._clear();
     if (robot === this._shown) return;
     const turn = ++this._asks;
     try {
@@ -51,6 +52,17 @@ export class RawFields {
     } catch (error) {
       if (turn === this._asks && error.code !== "LOST" && error.code !== "CLOSED") this._tell(error.message);
     }
+  }
+
+  /** No robot is left to show. */
+  _clear() {
+    this._asks++;
+    this._shown = this._sample = this._counted = null;
+    this._rows = [];
+    this._page.rows.replaceChildren();
+    this._listen();
+    this._tell("No robot has raw fields.");
+    painter.soon(this._paint);
   }
 
   _addRows(name, schema) {

@@ -85,7 +85,7 @@ class Channels:
         self._cell = cell
         self._globs = [glob.removeprefix("/") for glob in globs]
         self._ids = itertools.count(1)
-        self._known: dict[str, Topic] = {}
+        self._known: dict[str, tuple[Topic, str]] = {}  # with what the schema of each follows from
         self.by_id: dict[int, Channel] = {}
 
     def refresh(self) -> tuple[list[list[Channel]], list[Channel]]:
@@ -94,20 +94,26 @@ class Channels:
         Returns:
             The channels that are new, those of one robot together, and those that are gone.
         """
-        now = self._cell.bus.topics
+        now = {name: (topic, self._spoken(topic)) for name, topic in self._cell.topics.items()}
         if now == self._known:
             return [], []
-        gone = [channel for channel in self.by_id.values() if now.get(channel.topic.name) is not channel.topic]
+        other = {name for name in {*self._known, *now} if now.get(name) != self._known.get(name)}
+        gone = [channel for channel in self.by_id.values() if channel.topic.name in other]
         for channel in gone:
             del self.by_id[channel.id]
         new: dict[str, list[Channel]] = {}
-        for name, topic in now.items():
-            if self._known.get(name) is not topic:
+        for name, (topic, _) in now.items():
+            if name in other:
                 wanted = [channel for channel in self._made(topic) if self._matches(channel.name)]
                 self.by_id.update({channel.id: channel for channel in wanted})
                 new.setdefault(topic.robot, []).extend(wanted)
-        self._known = dict(now)
+        self._known = now
         return [channels for channels in new.values() if channels], gone
+
+    def _spoken(self, topic: Topic) -> str:
+        """What the schema of a topic follows from beside its group: a robot may come to speak another protocol."""
+        robot = self._cell.robots.get(topic.robot) if topic.group.name == "vendor" else None
+        return f"{robot.vendor.name}.{robot.protocol.name}" if isinstance(robot, RobotSettings) else ""
 
     def _matches(self, name: str) -> bool:
         return any(fnmatchcase(name[1:], glob) for glob in self._globs)

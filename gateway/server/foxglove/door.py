@@ -13,13 +13,15 @@ from aiohttp import WSCloseCode, WSMessage, web
 from msgspec import Meta
 
 from gateway.api.messages import MAX_RATE_HZ
+from gateway.server.access import cell_of
 from gateway.server.cell import Cell
 from gateway.server.foxglove.messages import SUBPROTOCOLS, Response, encode
 from gateway.server.foxglove.outbox import Outbox
 from gateway.server.foxglove.session import Session
 from gateway.server.frames import Wire, frame
 from gateway.server.guest import Guest, hosted, opened
-from gateway.server.native import CELL, CLIENTS, PACE, Pace
+from gateway.server.limits import PEERS, Quota
+from gateway.server.native import CLIENTS, PACE, Pace
 from gateway.server.traffic import DOORS, Traffic
 
 # Every so often a client is told which robots have come and gone.
@@ -47,7 +49,8 @@ async def websocket(request: web.Request) -> web.StreamResponse:
         return opening[0]
     socket, wire = opening
     clients, traffic = request.app[CLIENTS], request.app[DOORS]["foxglove"]
-    client = Client(socket, wire, request.app[CELL], request.app[PACE], wish, traffic)
+    quota = Quota(request.app[PEERS], request.remote)
+    client = Client(socket, wire, cell_of(request), request.app[PACE], wish, traffic, quota)
     traffic.clients += 1
     try:
         async with hosted(request, clients, client):
@@ -67,6 +70,7 @@ class Client(Guest):
         pace: How fast it is served.
         wish: What its URL asks for.
         traffic: Where it is counted what the client gets.
+        quota: What it may take of its peer's share.
     """
 
     def __init__(
@@ -77,13 +81,14 @@ class Client(Guest):
         pace: Pace,
         wish: Wish,
         traffic: Traffic,
+        quota: Quota,
     ) -> None:
         self._traffic = traffic
         self._stuck_s = pace.stuck_s
         period_s = None if wish.rate_hz is None else 1 / wish.rate_hz
         self._outbox = Outbox(pace.flush_s, time.monotonic, period_s, traffic)
-        super().__init__(socket, wire, self._outbox)
-        self._session = Session(cell, wish.topics, self._outbox)
+        super().__init__(socket, wire, self._outbox, quota)
+        self._session = Session(cell, wish.topics, self._outbox, quota)
         self._answers: list[str] = []
 
     @property

@@ -90,6 +90,10 @@ class Outbox:
         for topic in list(self._channels):
             self._leave(topic)
 
+    def pace(self, flush_s: float) -> None:
+        """Collect samples without a rate for another time from now on."""
+        self._samples.pace(flush_s)
+
     def on_reading(self, topic: Topic, reading: Reading) -> None:
         """Take a reading from the bus."""
         inbox = self._states if topic.group.delivery == "state" else self._samples

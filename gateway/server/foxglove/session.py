@@ -30,6 +30,7 @@ from gateway.server.foxglove.messages import (
     op_of,
 )
 from gateway.server.foxglove.outbox import Outbox
+from gateway.server.limits import Quota
 
 _NAMED = 8  # so many refused subscriptions are named
 _LONGEST_OP = 40  # so much of an unknown op is repeated
@@ -42,15 +43,17 @@ class Session:
         cell: What it may read.
         globs: Which channels it is offered.
         outbox: Where they leave.
+        quota: What it may take of its peer's share; None: as much as it wants.
 
     Attributes:
         wrong_in_a_row: How many messages in a row were wrong.
     """
 
-    def __init__(self, cell: Cell, globs: list[str], outbox: Outbox) -> None:
+    def __init__(self, cell: Cell, globs: list[str], outbox: Outbox, quota: Quota | None = None) -> None:
         self._cell = cell
         self._globs = globs
         self._outbox = outbox
+        self._quota = quota
         self._channels = Channels(cell, globs)
         self._wanted: dict[int, Channel] = {}  # by subscription
         self.wrong_in_a_row = 0
@@ -110,6 +113,8 @@ class Session:
                 refused.append(f"subscription {wanted.id}: there is no channel {wanted.channel_id}")
             elif channel.id in taken:
                 refused.append(f"subscription {wanted.id}: {channel.name} has subscription {taken[channel.id]} already")
+            elif self._quota is not None and not self._quota.take():
+                refused.append(f"subscription {wanted.id}: {self._quota.words}")
             else:
                 taken[channel.id] = wanted.id
                 self._wanted[wanted.id] = channel
@@ -124,6 +129,8 @@ class Session:
         channel = self._wanted.pop(name, None)
         if channel is not None:
             self._outbox.unsubscribe(name, channel)
+            if self._quota is not None:
+                self._quota.give()
         return channel is not None
 
     def _wrong(self, text: str) -> Status:

@@ -1,0 +1,3 @@
+"""An invented vendor that cannot be imported."""
+
+raise RuntimeError("early: no import")

@@ -1,0 +1,3 @@
+"""An invented vendor whose `VENDOR` is none."""
+
+VENDOR = 3
