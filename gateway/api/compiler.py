@@ -166,6 +166,7 @@ def _compile_read(words: Words, fast: str, slow: str, names: Mapping[str, object
     unpack_names = "".join(f"v{number}, " for number in range(words.count))
     assign = f"    ({unpack_names}) = words" if words.count else "    pass"
     strings = "".join(f"    {ref} = {kind}_of({ref})\n" for ref, kind in words.opaque)
+    shared = "".join(f"    {name} = {text}\n" for text, name in words.shared.items())
     numbers = f"({', '.join(words.floats)},)" if words.opaque else "words"  # a sum over all is fastest
     check = f"    if not isfinite(sum({numbers})):\n        return read_nulls(words)\n" if words.floats else ""
     source = (
@@ -181,6 +182,7 @@ def _compile_read(words: Words, fast: str, slow: str, names: Mapping[str, object
         f"{assign}\n"
         f"{check}"
         f"{strings}"
+        f"{shared}"
         f"    return {fast}, quality\n"
     )
     shown = {f"{kind}_of": to_string for kind, to_string in STRINGS.items()}

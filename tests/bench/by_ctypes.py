@@ -52,8 +52,9 @@ class Made:
             own = [row for row in rows if row.group == group]
             tree = _tree(own, lambda row: row_expression(row, words, scope, options, nulls=False))
             groups.append(_build(cast("type[Any]", model.GROUPS[group].struct), tree, scope))
+        shared = [f"{name} = {expression}" for expression, name in words.shared.items()]
         self.read = _compiled(scope, reads, "None")
-        self.converted = _compiled(scope, reads + strings, ", ".join(groups))
+        self.converted = _compiled(scope, reads + strings + shared, ", ".join(groups))
 
 
 def _reading(field: Field) -> str:

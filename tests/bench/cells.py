@@ -139,13 +139,23 @@ def metrics(port: int) -> Metrics:
     )
 
 
-def live_frame() -> Frame:
-    """A frame of a moving robot, with every state that the gateway asks for."""
+def _live() -> Talk:
+    """A conversation with a moving robot, which sends every state that the gateway asks for."""
     options = CndeOptions()
     session = CndeSession(VirtualRobot(find_scenario("steady")), CndeBehaviour())
     talk = Talk(CndeDecoder(options, Learned(Narrowing(options.wanted))), session)
     talk.tick(10)
-    return talk.frames[-1]
+    return talk
+
+
+def live_frame() -> Frame:
+    """A frame of a moving robot."""
+    return _live().frames[-1]
+
+
+def live_decoder() -> CndeDecoder:
+    """A decoder whose handshake is done: what is read of recordings is another."""
+    return _live().decoder
 
 
 def payload(encoding: str) -> bytes:

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from gateway.api.model import Fault, Severity
-from vendors.fairino.layouts import LONGEST
 
 _AXES = range(1, 7)
 
@@ -98,16 +97,11 @@ _ROWS = (
     _Row("tsWebStateComErr", texts={1: "Web to torque unit communication failed"}),
 )
 
-# The values of a frame that has every field and shows no fault: one comparison instead of a look at each.
-_NOTHING = tuple(0 if (count := LONGEST.by_name[row.source].count) is None else [0] * count for row in _ROWS)
-
 FAULT_FIELDS = ("main_code", "sub_code", *(row.source for row in _ROWS))
 
 
 def faults(main_code: int | None, sub_code: int | None, *values: int | list[int] | None) -> list[Fault] | None:
     """Every fault and warning that the frame shows; null where it has no such field at all."""
-    if main_code == sub_code == 0 and values == _NOTHING:
-        return []
     if main_code is None and sub_code is None and all(value is None for value in values):
         return None
     found = []
