@@ -170,7 +170,7 @@ class FramedDecoder:
         ends += [] if framing.type_at is None else [framing.type_at + 1]
         starts = [framing.length_at] if framing.type_at is None else [framing.length_at, framing.type_at]
         self._told = slice(min(starts), max(ends))
-        self._usual_told, self._usual_size, self._usual = b"", 0, self._kinds[framing.kinds[0].type]
+        self._usual_told, self._usual_size, self._usual = b"", -1, self._kinds[framing.kinds[0].type]
         self._table: tuple[Layout, Quality]
         self._counter_at = framing.counter_at
         self._numbers = Numbers(COUNTER_MODULUS)

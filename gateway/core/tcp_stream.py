@@ -33,7 +33,7 @@ class TcpStream(asyncio.Protocol):
         self._data = b""
         self._ended: LinkClosed | None = None
         self._news: asyncio.Future[None] | None = None
-        self._is_full = False
+        self._is_full = self._is_lost = False
         self._writable = asyncio.Event()
         self._writable.set()
 
@@ -57,6 +57,7 @@ class TcpStream(asyncio.Protocol):
     def connection_lost(self, error: Exception | None) -> None:
         """The connection is no more."""
         reason = "the controller closed the connection" if error is None else self._describe(error)
+        self._is_lost = True
         self._end(LinkClosed(reason))
         self._writable.set()
 
@@ -93,7 +94,8 @@ class TcpStream(asyncio.Protocol):
         if not self._transport.is_closing():
             self._transport.close()
             await anyio.lowlevel.checkpoint()
-        self._transport.abort()
+        if not self._is_lost:  # asyncio's own transport does not take it twice
+            self._transport.abort()
 
     def _end(self, why: LinkClosed) -> None:
         self._ended = self._ended or why

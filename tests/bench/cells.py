@@ -71,7 +71,7 @@ def gateway(ports: list[int], flush_ms: float | None = None) -> Iterator[tuple[P
     with tempfile.TemporaryDirectory() as folder:
         port, path = free_port(), Path(folder) / "gateway.toml"
         path.write_text(configuration(port, ports, flush_ms), "utf-8")
-        with running(["-m", "gateway", "run", "--config", str(path), "--log-level", "error"]) as process:
+        with running(["-m", "gateway", "run", "--config", str(path), "--log-level", "error"], "server") as process:
             _wait_until_read(port, len(ports))
             yield process, port
 
@@ -90,7 +90,7 @@ def configuration(port: int, controllers: list[int], flush_ms: float | None = No
 @contextmanager
 def relay(ports: list[int]) -> Iterator[tuple[Process, int]]:
     """The bare relay of some controllers, and its port."""
-    with running(module("servers.relay", *ports)) as process:
+    with running(module("servers.relay", *ports), "server") as process:
         yield process, int(process.line())
 
 
@@ -101,7 +101,7 @@ def publisher(name: str, plan: Plan, phases: Phases, encoding: str) -> Iterator[
         path = Path(folder) / "payload"
         path.write_bytes(payload(encoding))
         arguments = module(f"servers.{name}", plan.robots, plan.rate_hz, phases, encoding, path)
-        with running(arguments) as process:
+        with running(arguments, "server") as process:
             yield process, int(process.line())
 
 
