@@ -1,6 +1,6 @@
 """`make bench`: one table of figures, each with its ratio to a baseline measured in turns in the same run.
 
-python -m tests.bench [NAME…] [--json FILE] [--plots FOLDER] [--quick | --long] [--rounds N]
+python -m tests.bench [NAME…] [--json FILE] [--markdown FILE] [--plots FOLDER] [--quick | --long] [--rounds N]
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import msgspec
 from tests.bench import plots
 from tests.bench.plan import FULL, LONG, QUICK, Plan
 from tests.bench.rows import BENCHMARKS
-from tests.bench.table import HEAD, Row, block_of
+from tests.bench.table import HEAD, Row, block_of, markdown_of, put_in
 
 
 class Run(msgspec.Struct, frozen=True, kw_only=True):
@@ -50,6 +50,9 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m tests.bench", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(BENCHMARKS)}; none: all")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write every figure there; - is the standard output")
+    parser.add_argument(
+        "--markdown", type=Path, metavar="FILE", help="refresh the tables of a page, docs/performance.md"
+    )
     parser.add_argument("--plots", type=Path, metavar="FOLDER", help="draw how cost grows, from the sweeps")
     parser.add_argument("--rounds", type=int, metavar="N", help="rounds of each figure; at least 5 for a judgement")
     size = parser.add_mutually_exclusive_group()
@@ -83,6 +86,11 @@ def main() -> None:
             sys.stdout.buffer.write(text)
         else:
             asked.json.write_bytes(text)
+    if asked.markdown is not None:
+        page = asked.markdown.read_text("utf-8")
+        for name, rows in run.benchmarks.items():
+            page = put_in(page, name, f"*{run.machine}; {plan.rounds} rounds; {run.begun}.*\n\n{markdown_of(rows)}")
+        asked.markdown.write_text(page, "utf-8")
     if asked.plots is not None:
         for path in plots.drawn(run.benchmarks.get("sweeps", []), asked.plots):
             print(path, file=out)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tempfile
 import time
-import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -71,7 +70,7 @@ def gateway(ports: list[int], flush_ms: float | None = None) -> Iterator[tuple[P
     with tempfile.TemporaryDirectory() as folder:
         port, path = free_port(), Path(folder) / "gateway.toml"
         path.write_text(configuration(port, ports, flush_ms), "utf-8")
-        with running(["-m", "gateway", "run", "--config", str(path), "--log-level", "error"], "server") as process:
+        with running(["-m", "gateway", "run", "--config", str(path), "--log-level", "error"]) as process:
             _wait_until_read(port, len(ports))
             yield process, port
 
@@ -90,7 +89,7 @@ def configuration(port: int, controllers: list[int], flush_ms: float | None = No
 @contextmanager
 def relay(ports: list[int]) -> Iterator[tuple[Process, int]]:
     """The bare relay of some controllers, and its port."""
-    with running(module("servers.relay", *ports), "server") as process:
+    with running(module("servers.relay", *ports)) as process:
         yield process, int(process.line())
 
 
@@ -101,7 +100,7 @@ def publisher(name: str, plan: Plan, phases: Phases, encoding: str) -> Iterator[
         path = Path(folder) / "payload"
         path.write_bytes(payload(encoding))
         arguments = module(f"servers.{name}", plan.robots, plan.rate_hz, phases, encoding, path)
-        with running(arguments, "server") as process:
+        with running(arguments) as process:
             yield process, int(process.line())
 
 
@@ -177,7 +176,7 @@ def _wait_until_read(port: int, robots: int) -> None:
         try:
             if sum(count > 0 for count in metrics(port).frames) == robots:
                 return
-        except urllib.error.URLError:
+        except OSError:  # not there yet, or not quite
             pass
         time.sleep(0.1)
     raise ProcessEndedError("not every robot is read")

@@ -11,14 +11,11 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Literal
 
 ROOT = Path(__file__).parents[2]
 _PATIENCE_S = 60.0
 _GOODBYE_S = 5.0
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
-
-Role = Literal["server", "load"]
 
 
 class ProcessEndedError(Exception):
@@ -76,16 +73,11 @@ class Process:
 
 
 @contextmanager
-def running(arguments: Sequence[str], role: Role = "load") -> Iterator[Process]:
-    """Run Python with some arguments from the project's folder; it is to end when its standard input does.
-
-    The server that is measured has one core, and what loads it the others: neither takes the other's time.
-    """
+def running(arguments: Sequence[str]) -> Iterator[Process]:
+    """Run Python with some arguments from the project's folder; it is to end when its standard input does."""
     pipe = subprocess.PIPE
     command = [sys.executable, *arguments]
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, cwd=ROOT, bufsize=0) as started:  # noqa: S603 - our own
-        first, *others = sorted(os.sched_getaffinity(0))
-        os.sched_setaffinity(started.pid, {first} if role == "server" else others or {first})
         try:
             yield Process(started)
         finally:
@@ -96,6 +88,14 @@ def running(arguments: Sequence[str], role: Role = "load") -> Iterator[Process]:
                 started.wait(_GOODBYE_S)
             except subprocess.TimeoutExpired:
                 started.kill()
+
+
+def part(server: Process, *others: Process) -> None:
+    """Give a server one core, and what loads it the others: neither takes the other's time."""
+    first, *rest = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(server.pid, {first})
+    for process in others:
+        os.sched_setaffinity(process.pid, rest or {first})
 
 
 def module(name: str, *arguments: object) -> list[str]:

@@ -13,7 +13,7 @@ from tests.bench import cells
 from tests.bench.controllers import Told
 from tests.bench.listeners import Seen
 from tests.bench.plan import Plan
-from tests.bench.processes import Process, module, running
+from tests.bench.processes import Process, module, part, running
 from tests.bench.table import Goal, Row, row_of
 
 _FAST_HZ = 1000.0
@@ -29,6 +29,7 @@ class Taken(NamedTuple):
     late: int  # beats of the loop that came more than 25 ms late
     n_samples: int
     clients_cpu: float  # % of a core; near 100 the machine cannot carry the clients, and what is missed says nothing
+    unread: int = 0  # of `lost`, the frames that the server did not read; the rest are samples that clients missed
 
 
 def rows(plan: Plan) -> Iterator[Row]:
@@ -54,6 +55,9 @@ def _rows(plan: Plan, title: str, robots: int, rate_hz: float, readers: int, goa
     delivered = f"{sum(one.n_samples for one in ours):,} samples checked" if readers else ""
     if busy > _CARRIED:
         delivered += f"; the machine does not carry the clients: their process took {busy:.0f} % of a core"
+    unread = sum(one.unread for one in ours)
+    if unread:
+        delivered += f"; {unread} of what was missed are frames that the server did not read"
     yield row_of(f"{title}: {lost}", "", [one.lost for one in ours], goal=nothing, note=delivered)
     late = sum(one.late for one in ours)
     note = f"{late} beats came more than 25 ms late" if late else ""
@@ -68,6 +72,7 @@ def _taken(plan: Plan, source: Process, ports: list[int], readers: int, *, ours:
             arguments = module("listeners", port, "json" if ours else "relay", readers, "check")
             clients = stack.enter_context(running(arguments))
             assert clients.line() == b"ready"
+        part(server, source, *(() if clients is None else (clients,)))
         time.sleep(plan.warm_s)
         seen_before = None if clients is None else msgspec.json.decode(clients.ask("?"), type=Seen)
         before = cells.metrics(port) if ours else None
@@ -82,10 +87,11 @@ def _taken(plan: Plan, source: Process, ports: list[int], readers: int, *, ours:
             return Taken(share, 0, 0, 0, seen.samples, busy)
         after, told = cells.metrics(port), _sent(source)
         beats = max(1, after.beats - before.beats)
-        lost = after.gaps - before.gaps + told.blocked - sent.blocked + seen.holes + seen.missed + seen.lost
+        unread = after.gaps - before.gaps + told.blocked - sent.blocked
+        lost = unread + seen.holes + seen.missed + seen.lost
         lost += 0 if seen_before is None else seen_before.holes
         lag_ms = (after.lag_sum_s - before.lag_sum_s) / beats * 1e3
-        return Taken(share, lost, lag_ms, after.late - before.late, seen.samples, busy)
+        return Taken(share, lost, lag_ms, after.late - before.late, seen.samples, busy, unread)
 
 
 def _sent(source: Process) -> Told:

@@ -126,3 +126,27 @@ def block_of(rows: Sequence[Row]) -> str:
             lines.append(f"  beside {baseline}:" if baseline else "  by itself:")
         lines.append(line_of(row))
     return "\n".join(lines)
+
+
+def markdown_of(rows: Sequence[Row]) -> str:
+    """The same for a page: one table for each baseline."""
+    lines: list[str] = []
+    baseline = None
+    for row in rows:
+        if row.baseline != baseline:
+            baseline = row.baseline
+            lines += ["", f"Beside {baseline}:" if baseline else "By itself:", ""]
+            lines += ["| | figure | ratio | least to most | goal |", "|---|---|---|---|---|"]
+        ratio = "" if row.ratio is None else f"{row.ratio:.2f}"
+        spread = "" if row.ratio is None else f"{row.least:.2f} to {row.most:.2f}"
+        goal = f"{row.goal}: {'met' if row.met else '**missed**'}" if row.met is not None else row.goal
+        name = " ".join(row.name.split()) + (f" ({row.note})" if row.note else "")
+        lines.append(f"| {name} | {row.value:.4g} {row.unit} | {ratio} | {spread} | {goal} |")
+    return "\n".join(lines[1:]) + "\n"
+
+
+def put_in(page: str, name: str, text: str) -> str:
+    """A page with what stands between the marks of a benchmark exchanged; as it was where it has none."""
+    begin, end = f"<!-- {name} -->\n", f"<!-- end of {name} -->\n"
+    before, found, rest = page.partition(begin)
+    return f"{before}{begin}\n{text}\n{end}{rest.partition(end)[2]}" if found else page

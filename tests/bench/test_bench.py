@@ -10,7 +10,7 @@ import pytest
 from tests.bench import schedule
 from tests.bench.plan import TINY
 from tests.bench.rows import BENCHMARKS
-from tests.bench.table import Goal, line_of, row_of
+from tests.bench.table import Goal, line_of, markdown_of, put_in, row_of
 
 EXTRA = {"delivery": "foxglove"}
 
@@ -30,6 +30,7 @@ def test_a_benchmark_makes_rows_whose_figures_and_ratios_are_finite(name: str) -
         assert row.ratio is None or math.isfinite(row.ratio)
         assert (row.met is None) <= (row.goal == "" or row.ratio is None)
         assert row.name in line_of(row)
+        assert " ".join(row.name.split()) in markdown_of([row])
 
 
 def test_a_ratio_is_the_median_of_the_rounds_ratios_and_not_the_ratio_of_the_medians() -> None:
@@ -51,3 +52,11 @@ def test_every_robot_has_one_turn_in_a_period_whether_aligned_or_spread() -> Non
     assert len(schedule.groups(16, 125.0, "aligned")) == 1
     assert len(schedule.groups(16, 125.0, "spread")) == 16
     assert len(schedule.groups(64, 125.0, "spread")) == 16
+
+
+def test_a_page_is_refreshed_between_its_marks_only() -> None:
+    page = "one\n<!-- a -->\nold\n<!-- end of a -->\ntwo\n"
+    once = put_in(page, "a", "new\n")
+    assert once == "one\n<!-- a -->\n\nnew\n\n<!-- end of a -->\ntwo\n"
+    assert put_in(once, "a", "new\n") == once
+    assert put_in(page, "b", "new\n") == page
