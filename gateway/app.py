@@ -39,7 +39,7 @@ _LOG = structlog.get_logger()
 # Where a robot's calls are taken whose options do not say.
 DEFAULT_LISTEN = "127.0.0.1"
 # New objects until the youngest are searched for garbage, and how many searches until the next older ones are.
-_GC_THRESHOLDS = (10_000, 20, 50)
+_GC_THRESHOLDS = (10_000, 10, 10)
 WAITS = "a new configuration waits for this session to end; to drop it now: robot-gateway reload --drop {name}"
 
 
