@@ -5,6 +5,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 SECONDS_OF_SOAK ?= 60
+# Arguments of the benchmarks: names, --quick, --long, --json FILE, --plots FOLDER
+BENCH ?=
 SECONDS ?= 60
 TARGETS ?=
 DOCKER ?= docker
@@ -36,7 +38,8 @@ lint: $(STAMP) ## Format, lint, types and import rules, without the tests
 check: lint test ## What CI runs
 
 bench: $(STAMP) ## Measure; every figure with its ratio to a baseline of the same run
-	@$(BIN)/python -m tests.bench
+	$(BIN)/pip install --quiet --disable-pip-version-check --constraint packaging/constraints.txt --editable '.[bench]'
+	@$(BIN)/python -m tests.bench $(BENCH)
 
 soak: $(STAMP) ## The acceptance runs, SECONDS_OF_SOAK each; with MINUTES=60 the faults instead, for so long, with a report
 ifdef MINUTES

@@ -128,7 +128,7 @@ def _factor(unit: str, canonical: str) -> str:
     found = conversion(unit, canonical)
     if (found.scale, found.offset) == (1.0, 0.0):
         return f"{unit} as it is"
-    scale = "" if found.scale == 1.0 else f" × {found.scale:.6g}"  # noqa: RUF001 - a multiplication sign
+    scale = "" if found.scale == 1.0 else f" × {found.scale:.6g}"
     return f"{unit}{scale}" + (f" + {found.offset:g}" if found.offset else "")
 
 

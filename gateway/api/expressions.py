@@ -79,9 +79,24 @@ def _via_expression(
     function = f"via_{'_'.join((row.group, *row.path))}"
     names[function] = row.via
     call = f"{function}({', '.join(arguments)})"
+    refs = [value for source in row.sources for value in words.values(source)]
+    if row.calm is not None and not nulls and None not in refs:
+        _check_calm(row, words, options)
+        stirred = words.share(f"({' or '.join(map(str, refs))})")
+        return f"({call} if {stirred} else {row.calm()!r})"
     if nulls and checked and not row.partial:
         return f"(None if {' or '.join(f'{ref} is None' for ref in checked)} else {call})"
     return call
+
+
+def _check_calm(row: Signal, words: Words, options: Mapping[str, object]) -> None:
+    """What stands for `via` while every source is 0 is what `via` says then."""
+    fields = [find_source(words.layout, source)[0] for source in row.sources]
+    zeros = [0 if field.count is None else [0] * field.elements for field in fields]
+    if row.via is not None and row.calm is not None:
+        told = row.via(*zeros, **{option: options[option] for option in row.options})
+        if told != row.calm() or type(told) is not type(row.calm()):
+            raise ValueError(f"{row.key}: of zeros {row.via.__name__} says {told!r}, calm says {row.calm()!r}")
 
 
 def _pose_expression(

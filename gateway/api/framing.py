@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -127,10 +128,18 @@ class _Sizes:
             return False
         return self.any_size or total in self.layouts or total > self.longest
 
-    def unknown(self, total: int) -> Layout:
-        """The layout of a size that no table states: the next longer table as far as the frame goes, or the longest."""
+    def table(self, total: int) -> tuple[Layout, Quality]:
+        """The layout of a size, and how good its frames are.
+
+        A size that no table states has the next longer table as far as the frame goes, or the longest.
+        """
+        exact = self.layouts.get(total)
+        if exact is not None:
+            return exact, Quality.GOOD
         longer = min((known for known in self.layouts if known > total), default=None)
-        return self.layouts[self.longest] if longer is None else _shortened(self.layouts[longer], total, longer - total)
+        if longer is None:
+            return self.layouts[self.longest], Quality.UNCERTAIN
+        return _shortened(self.layouts[longer], total, longer - total), Quality.UNCERTAIN
 
     def __str__(self) -> str:
         known = ", ".join(str(size) for size in sorted(self.layouts))
@@ -152,6 +161,17 @@ class FramedDecoder:
         self._starts = sorted({size for sizes in self._kinds.values() for size in sizes.layouts})
         self._buffer = b""
         self._length: int | None = None
+        order = "<" if framing.byteorder == "little" else ">"
+        self._length_of = struct.Struct(order + TYPES[framing.length_type][0]).unpack_from
+        self._magic = framing.magic
+        self._behind = framing.behind
+        # Where a header tells length and type; what the last state frame told there, how long and of what kind it was.
+        ends = [framing.length_at + TYPES[framing.length_type][2]]
+        ends += [] if framing.type_at is None else [framing.type_at + 1]
+        starts = [framing.length_at] if framing.type_at is None else [framing.length_at, framing.type_at]
+        self._told = slice(min(starts), max(ends))
+        self._usual_told, self._usual_size, self._usual = b"", -1, self._kinds[framing.kinds[0].type]
+        self._table: tuple[Layout, Quality]
         self._counter_at = framing.counter_at
         self._numbers = Numbers(COUNTER_MODULUS)
 
@@ -167,15 +187,25 @@ class FramedDecoder:
 
     def feed(self, data: bytes) -> list[Event]:
         """Take received bytes and return what they completed."""
+        if data[self._told] == self._usual_told and len(data) == self._usual_size and not self._buffer:
+            # Nearly every chunk is exactly one frame like the last: nothing is to be searched or cut (ADR 0021).
+            only = self._whole_frame(self._usual, data) if data.startswith(self._magic) else None
+            if type(only) is Frame:
+                return [only]
+        return self._searched(data)
+
+    def _searched(self, data: bytes) -> list[Event]:
+        """What is found where frames are cut, several, damaged or of another kind."""
         buffer = self._buffer + data if self._buffer else data
         events: list[Event] = []
         size = len(buffer)
         at = dropped = 0
         reason = detail = ""
+        magic = self._magic
         while at < size:
-            found = buffer.find(self._framing.magic, at)
+            found = buffer.find(magic, at)
             if found < 0:
-                found = _partial_magic(buffer, self._framing.magic, at)
+                found = _partial_magic(buffer, magic, at)
                 if found == at:
                     break  # the rest of the magic may follow
             if found != at:
@@ -227,9 +257,7 @@ class FramedDecoder:
         framing = self._framing
         if len(buffer) - at < framing.header:
             return None
-        start = at + framing.length_at
-        width = TYPES[framing.length_type][2]
-        return int.from_bytes(buffer[start : start + width], framing.byteorder) + framing.length_adds
+        return int(self._length_of(buffer, at + framing.length_at)[0]) + framing.length_adds
 
     def _frame_at(self, buffer: bytes, at: int) -> Frame | Skipped | _Wrong | None:
         """The frame that begins at `at`; what is wrong where none does; None while more bytes are needed."""
@@ -255,7 +283,7 @@ class FramedDecoder:
         framing, total = self._framing, len(raw)
         if framing.tail and not raw.endswith(framing.tail):
             return "tail", f"ends {raw[-len(framing.tail) :].hex(' ')}, expected {framing.tail.hex(' ')}"
-        if framing.checksum is not None and not _checksum_holds(framing, framing.checksum, raw):
+        if framing.checksum is not None and not _checksum_holds(framing, framing.checksum, raw, total - self._behind):
             return "checksum", f"{sizes.kind.name} of {total} bytes"
         if not sizes.longest:
             return Skipped(raw, sizes.kind.name)
@@ -265,10 +293,11 @@ class FramedDecoder:
             self._length = total
         if self._counter_at is not None:
             self._numbers.take(raw[self._counter_at])
-        exact = sizes.layouts.get(total)
-        if exact is not None:
-            return Frame(raw, exact, framing.layout_at)
-        return Frame(raw, sizes.unknown(total), framing.layout_at, Quality.UNCERTAIN)
+        if total != self._usual_size or sizes is not self._usual:
+            self._usual, self._usual_size, self._usual_told = sizes, total, raw[self._told]
+            self._table = sizes.table(total)
+        layout, quality = self._table
+        return Frame(raw, layout, framing.layout_at, quality)
 
     def _begins(self, raw: bytes, at: int) -> bool:
         """Whether a state frame may begin inside another, where one of a known size would have ended.
@@ -295,10 +324,9 @@ def _shortened(layout: Layout, total: int, missing: int) -> Layout:
     return layout.prefix(layout.size - missing, name=f"{total} bytes, the first of {layout.name}")
 
 
-def _checksum_holds(framing: Framing, checksum: Checksum, raw: bytes) -> bool:
-    end = len(raw) - len(framing.tail)
-    start = end - TYPES[checksum.type][2]
-    return checksum.of(raw[:start]) == int.from_bytes(raw[start:end], framing.byteorder)
+def _checksum_holds(framing: Framing, checksum: Checksum, raw: bytes, at: int) -> bool:
+    told = raw[at : len(raw) - len(framing.tail)]
+    return checksum.of(raw[:at]) == int.from_bytes(told, framing.byteorder)
 
 
 def _partial_magic(buffer: bytes, magic: bytes, at: int) -> int:

@@ -12,10 +12,12 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from gateway.api import units
+
+if TYPE_CHECKING:
+    import numpy as np
 
 # table type -> (struct code, numpy code, bytes of one element)
 TYPES: dict[str, tuple[str, str, int]] = {
@@ -172,6 +174,8 @@ class Layout:
     @cached_property
     def dtype(self) -> np.dtype[np.void]:
         """The numpy dtype, with explicit offsets; cut-off elements are left out."""
+        import numpy as np  # noqa: PLC0415 - 16 MB that a gateway, which reads one frame at a time, does not need
+
         here = [field for field in self.fields if field.present]
         return np.dtype(
             {
@@ -248,6 +252,8 @@ class Layout:
         Raises:
             ValueError: The length is no multiple of `size`.
         """
+        import numpy as np  # noqa: PLC0415 - as above
+
         return np.frombuffer(payloads, dtype=self.dtype)
 
     def problems(self) -> list[str]:

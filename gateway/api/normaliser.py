@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
+from gateway.api.compiler import compile_state_key
 from gateway.api.decoder import Table
+from gateway.api.layout import Layout
 from gateway.api.model import FRAME_GROUPS
-from gateway.api.reader import Reader
+from gateway.api.reader import Reader, ReadKey
 from gateway.api.readers import group_reader, vendor_reader
 from gateway.api.signals import Signal
 
@@ -26,6 +28,7 @@ class Normaliser:
         self.signals = tuple(signals)
         self._options = options
         self._readers: dict[int, tuple[Table, dict[str, Reader]]] = {}
+        self._state_keys: dict[int, tuple[Layout, ReadKey]] = {}
         told = {signal.group for signal in self.signals}
         self.groups = (*(group for group in FRAME_GROUPS if group in told), "vendor")
 
@@ -39,6 +42,13 @@ class Normaliser:
                 if reader is not None:
                     readers[group] = reader
             found = self._readers[id(layout)] = (layout, readers)
+        return found[1]
+
+    def state_key(self, layout: Layout) -> ReadKey:
+        """Reads what all state groups together follow from: of nearly every frame it is the same as of the last."""
+        found = self._state_keys.get(id(layout))
+        if found is None:
+            found = self._state_keys[id(layout)] = (layout, compile_state_key(layout, self.signals))
         return found[1]
 
     def group_sources(self, group: str) -> tuple[str, ...]:

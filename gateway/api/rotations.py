@@ -24,14 +24,13 @@ def quaternion_from_rpy(rx: float, ry: float, rz: float) -> list[float | None]:
     Returns:
         Shape (4,), (x, y, z, w), w >= 0.
     """
-    cx, sx = cos(rx * 0.5), sin(rx * 0.5)
-    cy, sy = cos(ry * 0.5), sin(ry * 0.5)
-    cz, sz = cos(rz * 0.5), sin(rz * 0.5)
-    x = sx * cy * cz - cx * sy * sz
-    y = cx * sy * cz + sx * cy * sz
-    z = cx * cy * sz - sx * sy * cz
-    w = cx * cy * cz + sx * sy * sz
-    return [x, y, z, w] if w >= 0 else [-x, -y, -z, -w]
+    rx, ry, rz = rx * 0.5, ry * 0.5, rz * 0.5
+    cx, cy, cz, sx, sy, sz = cos(rx), cos(ry), cos(rz), sin(rx), sin(ry), sin(rz)
+    cc, ss, cs, sc = cy * cz, sy * sz, cy * sz, sy * cz
+    w = cx * cc + sx * ss
+    if w >= 0:
+        return [sx * cc - cx * ss, cx * sc + sx * cs, cx * cs - sx * sc, w]
+    return [cx * ss - sx * cc, -cx * sc - sx * cs, sx * sc - cx * cs, -w]
 
 
 def pose_from_rpy(x: float, y: float, z: float, rx: float, ry: float, rz: float) -> Pose:

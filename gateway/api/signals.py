@@ -31,6 +31,8 @@ class Signal:
         rotation: How the three angles of a `mm|deg` source turn; None leaves the orientation null.
         quality: SUBSTITUTED for a commanded value that is shown as measured, UNCERTAIN for a reading not established.
         volatile: Whether the value always changes: it never makes a state topic publish by itself.
+        calm: Of a layout: makes what `via` gives while every source is 0 (`list`: [], `bool`: False); it is not called
+            then. For faults: the many words of which are nearly always 0.
         doubt: Of a record: says, of what `via` takes, whether this value is UNCERTAIN; None: it never is.
     """
 
@@ -42,6 +44,7 @@ class Signal:
     rotation: Rotation | None = None
     quality: Quality = Quality.GOOD
     volatile: bool = False
+    calm: Callable[[], object] | None = None
     doubt: Callable[..., bool] | None = None
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
 from gateway.api.layout import Field, Flag, Layout
 from gateway.api.signals import find_source
@@ -22,7 +22,12 @@ class Words:
         self._refs = {field.name: [next(names) for _ in range(field.present)] for field in self.fields}
         self.count = sum(field.present for field in self.fields)
         self.floats = [ref for field in self.fields if field.is_float for ref in self._refs[field.name]]
+        self.shared: dict[str, str] = {}  # what several expressions need, by the expression: the variable it is kept in
         self.opaque = [(self._refs[field.name][0], field.type) for field in self.fields if field.is_opaque]
+
+    def share(self, expression: str) -> str:
+        """The variable of an expression that is worked out once, before the group is built."""
+        return self.shared.setdefault(expression, f"s{len(self.shared)}")
 
     def whole(self, field: Field) -> list[str | None]:
         """The variable of each element; None for one that the frame does not carry."""
@@ -47,17 +52,12 @@ def wire_order(fields: Iterable[Field]) -> list[Field]:
 
 
 def struct_of(layout: Layout, fields: Sequence[Field]) -> struct.Struct:
-    """One struct that unpacks the present elements of some fields, in the order of the table."""
-    return packing(layout, fields, {})
-
-
-def packing(layout: Layout, fields: Sequence[Field], codes: Mapping[str, str]) -> struct.Struct:
-    """One struct of the present elements of some fields, some types of which are read by another code."""
+    """One struct that unpacks the present elements of some fields, in wire order."""
     parts, at = [layout.byteorder], 0
     for field in wire_order(fields):
         gap = field.offset - at
         parts.append(f"{gap}x" if gap else "")
-        parts.append(f"{field.present}{codes[field.type]}" if field.type in codes else field.code)
+        parts.append(field.code)
         at = field.offset + field.present * field.item_size
     return struct.Struct("".join(parts))
 

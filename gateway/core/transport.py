@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import os
 import socket
@@ -11,8 +12,9 @@ from types import MappingProxyType
 from typing import Protocol
 
 import anyio
-from anyio.abc import SocketAttribute, SocketStream
+from anyio.abc import SocketStream
 
+from gateway.core.tcp_stream import TcpStream
 from gateway.errors import LinkClosed
 
 RECEIVE_BYTES = 65536
@@ -131,18 +133,18 @@ class TcpClient(HoldsNothing):
         """Open a connection; see `Connector`."""
         try:
             with anyio.fail_after(CONNECT_TIMEOUT_S):
-                stream = await anyio.connect_tcp(self.host, self.port)
+                loop = asyncio.get_running_loop()
+                transport, stream = await loop.create_connection(lambda: TcpStream(describe), self.host, self.port)
         except TimeoutError:
             raise LinkClosed(f"no answer from {self.peer} within {CONNECT_TIMEOUT_S:g} s") from None
         except OSError as error:
             raise LinkClosed(f"{self.peer}: {describe(error)}", refused=is_refusal(error)) from error
-        raw = stream.extra(SocketAttribute.raw_socket)  # noqa: S610 - not that `extra`
-        prepare(raw.setsockopt)
-        return TcpConnection(stream)
+        prepare(transport.get_extra_info("socket").setsockopt)
+        return stream
 
 
 class TcpConnection:
-    """One open TCP connection, whoever called."""
+    """A TCP connection that the controller has opened."""
 
     datagrams = False
 

@@ -160,11 +160,14 @@ class Client(Guest):
                 self._trouble.set()
 
     def _write(self, shared: Shared) -> None:
-        answers, self._answers, self._n_unread = self._answers, [], 0
-        for made in [*answers, *self._outbox.messages(shared)]:
+        due = self._outbox.messages(shared)
+        if self._answers:  # they were there first
+            due = [*self._answers, *due]
+            self._answers, self._n_unread = [], 0
+            self._taken.set()
+        for made in due:
             self._wire.write(made)
             self._turns.n_bytes += len(made)
-        self._taken.set()
         if self._outbox.overflowed:
             self._trouble.set()
 

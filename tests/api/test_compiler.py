@@ -100,6 +100,27 @@ def test_a_function_takes_raw_values_and_options() -> None:
     assert found.tool_id == 133
 
 
+@pytest.mark.parametrize(("word", "fault", "calls"), [(0, [], 0), (128, ["7"], 1)])
+def test_a_calm_row_calls_its_function_only_where_a_source_is_not_zero(word: int, fault: list[str], calls: int) -> None:
+    called = []
+
+    def faults(bit: int, inputs: list[int]) -> list[model.Fault]:
+        called.append((bit, inputs))
+        return [model.Fault("7")] if bit else []
+
+    reader = compiled(Signal("status.faults", ("word.bit", "inputs"), faults, calm=list))
+    called.clear()  # it was asked once what it says of zeros
+    found, _ = reader.read(Frame(TABLE.encode({"word": word}), TABLE))
+    assert isinstance(found, model.Status)
+    assert [one.code for one in found.faults or []] == fault
+    assert len(called) == calls
+
+
+def test_what_is_said_of_zeros_must_be_what_the_function_says() -> None:
+    with pytest.raises(ValueError, match=r"status\.in_error: of zeros .* says True, calm says False"):
+        compiled(Signal("status.in_error", "word", lambda word: word == 0, calm=bool))
+
+
 def test_nested_keys_build_nested_structs() -> None:
     rows = (Signal("status.program.run_time", "seconds"), Signal("status.speed_override", "speed"))
     found, _ = read({"seconds": 7, "speed": 0.5}, *rows)

@@ -73,6 +73,20 @@ def test_a_longer_frame_keeps_its_layout_and_is_uncertain() -> None:
     assert (event.layout, event.quality) == (STATE, Quality.UNCERTAIN)
 
 
+def test_after_a_good_frame_one_that_is_damaged_anywhere_is_still_none() -> None:
+    for at in range(len(GOOD)):
+        decoder = FramedDecoder(SEALED)
+        assert len(decoder.feed(GOOD)) == 1
+        damaged = GOOD[:at] + bytes((GOOD[at] ^ 0x01,)) + GOOD[at + 1 :]
+        assert not any(isinstance(event, (Frame, Skipped)) for event in decoder.feed(damaged))
+
+
+def test_half_a_frame_that_waits_goes_before_a_whole_one() -> None:
+    decoder = FramedDecoder(SEALED)
+    decoder.feed(GOOD + GOOD[:6])
+    assert decoder.feed(GOOD[6:] + GOOD) == [Frame(GOOD, STATE, 5)] * 2
+
+
 def test_a_frame_without_state_is_skipped_under_its_name() -> None:
     note = sealed(b"hello", 2)
     assert FramedDecoder(SEALED).feed(note + GOOD) == [Skipped(note, "note"), Frame(GOOD, STATE, 5)]

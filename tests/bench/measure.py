@@ -1,87 +1,50 @@
-"""Measures functions beside each other in one run, so that a noisy machine disturbs both alike."""
+"""Times functions in turns in one run, so that a noisy machine disturbs all of them alike."""
 
 from __future__ import annotations
 
 import gc
-import statistics
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 
-import msgspec
+from tests.bench.plan import Plan
 
-ROUNDS = 9
-ROUND_S = 0.02
-
-
-class Row(msgspec.Struct, frozen=True, kw_only=True):
-    """One figure and its ratio to a baseline of the same run.
-
-    Args:
-        name: What was measured.
-        baseline: What it is compared with.
-        value_us: Median time of one call, µs.
-        ratio: Median of the rounds' ratios to the baseline.
-        least: Smallest ratio of a round.
-        most: Largest ratio of a round.
-    """
-
-    name: str
-    baseline: str
-    value_us: float
-    ratio: float
-    least: float
-    most: float
+_LEAST_ROUNDS = 15  # they are short: more of them cost little
+_MOST_CALLS = 1 << 20
 
 
-def compare(
-    baseline: tuple[str, Callable[[], object]],
-    candidates: Sequence[tuple[str, Callable[[], object]]],
-) -> list[Row]:
-    """Time candidates and a baseline in turns.
+def times_us(calls: Mapping[str, Callable[[], object]], plan: Plan) -> dict[str, list[float]]:
+    """Time each function in every round.
 
     Args:
-        baseline: Its name and a call of it.
-        candidates: The same of each candidate.
+        calls: By name.
+        plan: How many rounds, and how long.
 
     Returns:
-        A row each, the baseline's first.
+        By name, the time of one call in each round, µs.
     """
-    named = [baseline, *candidates]
-    counts = [_calls_in(call, ROUND_S) for _, call in named]
-    times: list[list[float]] = [[] for _ in named]
+    counts = {name: _calls_in(call, plan.call_s) for name, call in calls.items()}
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    rounds = plan.rounds if plan.rounds == 1 else max(plan.rounds, _LEAST_ROUNDS)
     gc.disable()
     try:
-        for _ in range(ROUNDS):
-            for index, (_, call) in enumerate(named):
-                times[index].append(_time(call, counts[index]))
+        for _ in range(rounds):
+            for name, call in calls.items():
+                times[name].append(_time(call, counts[name]) * 1e6)
     finally:
         gc.enable()
-    rows = []
-    for index, (name, _) in enumerate(named):
-        ratios = [value / base for value, base in zip(times[index], times[0], strict=True)]
-        rows.append(
-            Row(
-                name=name,
-                baseline=baseline[0],
-                value_us=statistics.median(times[index]) * 1e6,
-                ratio=statistics.median(ratios),
-                least=min(ratios),
-                most=max(ratios),
-            ),
-        )
-    return rows
+    return times
 
 
 def _calls_in(call: Callable[[], object], seconds: float) -> int:
     count = 1
-    while (taken := _time(call, count) * count) < seconds / 4:
+    while (taken := _time(call, count) * count) < seconds / 4 and count < _MOST_CALLS:
         count *= 2
-    return max(1, int(count * seconds / taken))
+    return max(1, int(count * seconds / max(taken, 1e-9)))
 
 
 def _time(call: Callable[[], object], count: int) -> float:
-    """Seconds of one call, averaged over some."""
-    start = time.perf_counter()
+    """Seconds of CPU of one call, averaged over some: what else the machine does is not counted."""
+    start = time.thread_time()
     for _ in range(count):
         call()
-    return (time.perf_counter() - start) / count
+    return (time.thread_time() - start) / count

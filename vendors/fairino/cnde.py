@@ -19,12 +19,24 @@ from gateway.api.framing import COUNTER_MODULUS, FramedDecoder
 from gateway.api.numbers import Numbers
 from gateway.api.vendor import DecoderFactory
 from vendors.fairino.cnde_narrowing import Narrowing
-from vendors.fairino.cnde_states import ALL_STATES, MOST_DATA, Granted, fitting, granted, name_fault, parse_type
+from vendors.fairino.cnde_states import (
+    ALL_STATES,
+    HEADER,
+    MOST_DATA,
+    TAIL,
+    Granted,
+    fitting,
+    granted,
+    name_fault,
+    parse_type,
+)
 from vendors.fairino.cnde_wire import (
+    AROUND,
     COUNTER_AT,
     DATA,
     DELIMITED,
     ERROR,
+    MAGIC,
     MESSAGE,
     START,
     STOP,
@@ -135,6 +147,7 @@ class CndeDecoder:
         self._quiet = 0  # ticks since the last byte came
         self._granted: Granted | None = None
         self._size = 0
+        self._head = b""  # type and length of the data frames
         self._wrong = 0
         self._starts = 0
         self._warning = ""
@@ -159,6 +172,10 @@ class CndeDecoder:
 
     def feed(self, data: bytes) -> list[Event]:
         """Take received bytes and return what they completed."""
+        if self._phase is Phase.RUNNING and self._is_next(data):
+            self._wrong = self._quiet = 0
+            self._numbers.take(data[COUNTER_AT])
+            return [Frame(data, cast("Granted", self._granted).layout)]
         events: list[Event] = []
         for event in self._frames.feed(data):
             if type(event) is not Skipped:
@@ -203,6 +220,16 @@ class CndeDecoder:
     def goodbye(self) -> bytes:
         """Stop the output: nobody would read it."""
         return frame(STOP)
+
+    def _is_next(self, data: bytes) -> bool:
+        """Whether a chunk is exactly one data frame, as nearly every one is: 0.6 µs instead of 1.4 µs for each."""
+        return (
+            len(data) == self._size
+            and data[3:HEADER] == self._head
+            and data.startswith(MAGIC)
+            and data.endswith(TAIL)
+            and not self._frames.pending
+        )
 
     def _enter(self, phase: Phase, sent: bytes) -> bytes:
         self._phase = phase
@@ -260,6 +287,7 @@ class CndeDecoder:
             return [Skipped(raw, "answer"), Refused(str(error), "incompatible")]
         self._learned.layouts[names, types] = self._granted = found
         self._size = found.frame_size
+        self._head = bytes((DATA,)) + (self._size - AROUND).to_bytes(2, "little")
         self._owed = self._enter(Phase.STARTING, frame(START))
         return [Skipped(raw, "answer")]
 

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 from gateway.api.layout import TYPES, Field, Layout
 from vendors.fairino.layouts import CNDE_FIELDS, CNDE_STATES, LONGEST, STATES, State
@@ -110,8 +111,9 @@ class Granted:
         return self.layout.size + len(TAIL)
 
 
-def granted(names: Sequence[str], types: Sequence[str]) -> Granted:
-    """Make the layout of a configuration.
+@lru_cache(maxsize=16)
+def granted(names: tuple[str, ...], types: tuple[str, ...]) -> Granted:
+    """Make the layout of a configuration; robots with the same share it.
 
     Fields of states that are not configured stay in the table and read as null.
 

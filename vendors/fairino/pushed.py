@@ -6,6 +6,10 @@ on an integrator may have the robot stop when the connection to one of these por
 
 from __future__ import annotations
 
+import struct
+from functools import lru_cache
+from zlib import adler32
+
 from gateway.api.framing import Checksum, Framing, Kind
 from gateway.api.layout import Layout
 from gateway.api.vendor import Protocol
@@ -24,8 +28,19 @@ _HAZARD = (
 
 
 def sum16(data: bytes) -> int:
-    """The vendor's sum check: all bytes before it, modulo 65536."""
-    return sum(data) & 0xFFFF
+    """The vendor's sum check: all bytes before it, modulo 65536.
+
+    Adler-32 has the sum of the bytes, and one, in its lower 16 bits: exact for 256 of them, and the bits above do not
+    matter here. A frame of 2 kB takes 1.1 µs so, and 6.3 µs with `sum` over its bytes (ADR 0021).
+    """
+    pieces = _pieces(len(data)).unpack(data)
+    return (sum(map(adler32, pieces)) - len(pieces)) & 0xFFFF
+
+
+@lru_cache(maxsize=64)
+def _pieces(size: int) -> struct.Struct:
+    """What cuts so many bytes into pieces of 256, and a shorter one."""
+    return struct.Struct("256s" * (size // 256) + f"{size % 256}s")
 
 
 def _framing(smallest_payload: int, *layouts: Layout) -> Framing:

@@ -32,7 +32,9 @@ _ENABLED = 1  # rbtEnableState
 
 _BITS_OF_BYTE = tuple([bool(byte >> bit & 1) for bit in range(8)] for byte in range(256))
 
+_ONE = {0: False, 1: True}
 _MODES = {0: OperatingMode.AUTOMATIC, 1: OperatingMode.MANUAL}
+_IN_MOTION = {1: False, 2: True, 3: False}  # robot_state
 _MOTIONS = {1: Motion.STANDSTILL, 2: Motion.MOVING, 3: Motion.HOLD, 4: Motion.HAND_GUIDING}
 _PROGRAM_STATES = {1: ProgramState.STOPPED, 2: ProgramState.RUNNING, 3: ProgramState.PAUSED}
 _SAFETY_FUNCTIONS = (
@@ -49,7 +51,7 @@ _SAFETY_FUNCTIONS = (
 
 def is_one(value: int) -> bool | None:
     """A word of which only 0 and 1 are documented."""
-    return {0: False, 1: True}.get(value)
+    return _ONE.get(value)
 
 
 def operating_mode(robot_mode: int) -> OperatingMode:
@@ -74,7 +76,7 @@ def motion(robot_state: int) -> Motion:
 
 def in_motion(robot_state: int) -> bool | None:
     """Whether the arm moves under command; a hand-guided arm may or may not."""
-    return {1: False, 2: True, 3: False}.get(robot_state)
+    return _IN_MOTION.get(robot_state)
 
 
 def program_state(state: int) -> ProgramState | None:
@@ -94,7 +96,7 @@ def whole_name(name: str) -> str | None:
 
 def speed_override(robot_mode: int, manual: float, automatic: float) -> float | None:
     """The speed of the mode that is selected, % to 0..1."""
-    percent = {0: automatic, 1: manual}.get(robot_mode)
+    percent = automatic if robot_mode == 0 else manual if robot_mode == 1 else None
     return percent / 100 if percent is not None and 0 <= percent <= 100 else None  # noqa: PLR2004 - per cent
 
 
@@ -104,10 +106,10 @@ def pressed(emergency_stop: int | None, button_box: int | None, estop_polarity: 
     The page documents 1 as pressed for both; a configured polarity wins over the page.
     """
     level = 0 if estop_polarity == "active_low" else 1
-    if level in {emergency_stop, button_box}:
+    if level in (emergency_stop, button_box):
         return True
     released = 1 - level
-    return False if emergency_stop == released and button_box in {released, None} else None
+    return False if emergency_stop == released and button_box in (released, None) else None
 
 
 def safety_state(
@@ -152,7 +154,8 @@ def soft_limit(joint: int, external_axis: int) -> bool:
 
 def linear_and_angular(values: Six) -> Six:
     """Three values in mm/s and three in deg/s, in m/s and rad/s."""
-    return [value * 1e-3 for value in values[:3]] + [value * _DEG for value in values[3:]]
+    x, y, z, a, b, c = values
+    return [x * 1e-3, y * 1e-3, z * 1e-3, a * _DEG, b * _DEG, c * _DEG]
 
 
 def linear_speed(values: list[float]) -> float:
@@ -277,13 +280,13 @@ SIGNALS = (
     Signal("status.speed_override", ("robot_mode", "speedScaleManual", "speedScaleAuto"), speed_override),
     Signal("status.drives_powered", "rbtEnableState", drives_powered),
     Signal("status.in_motion", "robot_state", in_motion),
-    Signal("status.in_error", FAULT_FIELDS, in_error, partial=True),
+    Signal("status.in_error", FAULT_FIELDS, in_error, partial=True, calm=bool),
     Signal("status.e_stopped", _ESTOPS, pressed, partial=True, options=("estop_polarity",)),
     Signal("status.tool_id", "tool"),
     Signal("status.workobject_id", "user"),
     Signal("status.payload.mass", "load"),
     Signal("status.payload.cog", "loadCog"),
-    Signal("status.faults", FAULT_FIELDS, faults, partial=True),
+    Signal("status.faults", FAULT_FIELDS, faults, partial=True, calm=list),
     Signal("safety.state", _SAFETY, safety_state, partial=True, options=("estop_polarity",)),
     Signal(
         "safety.functions",

@@ -28,6 +28,10 @@ STILL, MOVING, HELD_BY_PROCESS = 1, 3, 5  # robot_state
 WAYPOINTS = range(60, 1060)  # robot_state: 60 + n and 560 + n
 INIT_DONE = 6  # init_state_info
 
+_ONE = {0: False, 1: True}
+_PROGRAM_STATES = {IDLE: ProgramState.STOPPED, PAUSED: ProgramState.PAUSED, RUNNING: ProgramState.RUNNING}
+_IN_MOTION = {Motion.STANDSTILL: False, Motion.HOLD: False, Motion.MOVING: True}
+
 # The words are the manual's; v4.3.1 and v6.10 agree on them.
 _SOS_TEXTS = {
     1: "Encoder err (PVL)",
@@ -81,7 +85,7 @@ _SAFETY_INPUTS = (
 
 def is_one(value: int) -> bool | None:
     """A word of which only 0 and 1 are documented."""
-    return {0: False, 1: True}.get(value)
+    return _ONE.get(value)
 
 
 def set_or_unknown(bit: int) -> bool | None:
@@ -128,15 +132,14 @@ def in_motion(robot_state: int, freedrive: int, pause: int) -> bool | None:
     """Whether the arm moves under command; a hand-guided or force-controlled arm may or may not."""
     if freedrive or robot_state == HELD_BY_PROCESS:
         return None
-    return {Motion.STANDSTILL: False, Motion.HOLD: False, Motion.MOVING: True}.get(motion(robot_state, 0, pause))
+    return _IN_MOTION.get(motion(robot_state, 0, pause))
 
 
 def program_state(task_state: int, pause: int) -> ProgramState:
     """What the program is doing. An idle controller does not say whether a program is loaded."""
     if task_state == RUNNING and pause:
         return ProgramState.PAUSED
-    known = {IDLE: ProgramState.STOPPED, PAUSED: ProgramState.PAUSED, RUNNING: ProgramState.RUNNING}
-    return known.get(task_state, ProgramState.UNKNOWN)
+    return _PROGRAM_STATES.get(task_state, ProgramState.UNKNOWN)
 
 
 def all_set(flags: Words) -> bool:
@@ -146,10 +149,8 @@ def all_set(flags: Words) -> bool:
 
 def joint_errors(words: Words) -> int:
     """The error bits that are set at any joint."""
-    found = 0
-    for word in words:
-        found |= word
-    return found & _ANY_JOINT_BIT
+    a, b, c, d, e, f = words
+    return (a | b | c | d | e | f) & _ANY_JOINT_BIT
 
 
 def faults(sos: int, sos_active: int, kinematic: int, init_error: int, joints: Words) -> list[Fault]:

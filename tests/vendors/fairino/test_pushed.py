@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from gateway.api.decoder import Event, Frame, Reject
 from gateway.api.framing import FramedDecoder
@@ -163,3 +165,10 @@ def test_the_counter_stands_behind_the_start_bytes(stream: Stream) -> None:
     at = protocol.framing.counter_at
     assert at is not None
     assert [raw[at] for raw in found] == [0, 1, 2, 3]
+
+
+@given(st.binary(max_size=600))
+@example(b"\xff" * 4096)
+@example(b"\xff" * 256)
+def test_the_sum_is_that_of_the_bytes(data: bytes) -> None:
+    assert sum16(data) == sum(data) & 0xFFFF

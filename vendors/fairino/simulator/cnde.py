@@ -119,13 +119,13 @@ class CndeSession:
         """Take a whole configuration, or refuse it."""
         if self.period_s is not None:
             return [self._say(ERROR, "OUTPUT_IS_RUNNING")]
-        names = data[2:].decode("ascii", "replace").split(",")
+        names = tuple(data[2:].decode("ascii", "replace").split(","))
         if any(name not in self._behaviour.known for name in names):
             return [self._say(ERROR, "NOT_FOUND")]
         period_ms = int.from_bytes(data[:2], "little")
         if period_ms not in _PERIODS_MS:
             return [self._say(ERROR, "PERIOD_OUT_OF_RANGE")]
-        types = [self._behaviour.types.get(name) or ALL_STATES[name].type for name in names]
+        types = tuple(self._behaviour.types.get(name) or ALL_STATES[name].type for name in names)
         self._writer = self._make_writer(granted(names, types).layout)
         self._configured_s = period_ms / 1000
         return [self._say(SUCCESS, ",".join(types))]

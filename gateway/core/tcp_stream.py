@@ -1,0 +1,106 @@
+"""A TCP connection to a controller as the loop's own protocol: reading goes on by itself.
+
+anyio's stream stops and starts the reading around each receive, which is two changes of the poll and two further turns
+of the loop for every frame (ADR 0021).
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import cast
+
+import anyio.lowlevel
+
+from gateway.errors import LinkClosed
+
+# So many bytes may wait to be decoded before no more is read: a megabyte is minutes of the fastest controller.
+_MOST_WAITING = 1 << 20
+
+
+class TcpStream(asyncio.Protocol):
+    """One open connection; see `gateway.core.transport.Connection`.
+
+    Args:
+        describe: Says in words why the connection ended, where it did not end in order.
+    """
+
+    datagrams = False
+
+    def __init__(self, describe: Callable[[BaseException], str]) -> None:
+        self._describe = describe
+        self._transport: asyncio.Transport
+        self._data = b""
+        self._ended: LinkClosed | None = None
+        self._news: asyncio.Future[None] | None = None
+        self._is_full = self._is_lost = False
+        self._writable = asyncio.Event()
+        self._writable.set()
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """The connection is open."""
+        self._transport = cast("asyncio.Transport", transport)
+
+    def data_received(self, data: bytes) -> None:
+        """Keep bytes for the next `receive`."""
+        self._data = self._data + data if self._data else data
+        if len(self._data) > _MOST_WAITING:
+            self._is_full = True
+            self._transport.pause_reading()
+        self._tell()
+
+    def eof_received(self) -> bool:
+        """The controller sends no more; the connection is closed by its owner."""
+        self._end(LinkClosed("the controller closed the connection"))
+        return True
+
+    def connection_lost(self, error: Exception | None) -> None:
+        """The connection is no more."""
+        reason = "the controller closed the connection" if error is None else self._describe(error)
+        self._is_lost = True
+        self._end(LinkClosed(reason))
+        self._writable.set()
+
+    def pause_writing(self) -> None:
+        """The controller does not read."""
+        self._writable.clear()
+
+    def resume_writing(self) -> None:
+        """It does again."""
+        self._writable.set()
+
+    async def receive(self) -> bytes:
+        """Wait for bytes; what came before the end comes before the error."""
+        while not self._data:
+            if self._ended is not None:
+                raise self._ended
+            self._news = asyncio.get_running_loop().create_future()
+            await self._news
+        data, self._data = self._data, b""
+        if self._is_full:
+            self._is_full = False
+            self._transport.resume_reading()
+        return data
+
+    async def send(self, data: bytes) -> None:
+        """Send bytes, once those before have found room."""
+        await self._writable.wait()
+        if self._transport.is_closing():
+            raise self._ended or LinkClosed("the connection is closed")
+        self._transport.write(data)
+
+    async def aclose(self) -> None:
+        """Close the connection: what is still under way has one turn of the loop."""
+        if not self._transport.is_closing():
+            self._transport.close()
+            await anyio.lowlevel.checkpoint()
+        if not self._is_lost:  # asyncio's own transport does not take it twice
+            self._transport.abort()
+
+    def _end(self, why: LinkClosed) -> None:
+        self._ended = self._ended or why
+        self._tell()
+
+    def _tell(self) -> None:
+        if self._news is not None and not self._news.done():
+            self._news.set_result(None)
