@@ -26,6 +26,7 @@ from gateway.core.publisher import Publisher
 from gateway.core.repeats import Repeats
 from gateway.core.session import Session
 from gateway.core.settings import BrokenRobot, RobotSettings
+from gateway.core.tap import Tap
 from gateway.core.transport import Connector
 from gateway.errors import LinkClosed, LinkError, LinkRefused, LinkStale
 
@@ -44,6 +45,7 @@ class Link:
         bus: Where to publish.
         clock: Both times.
         delays: Makes a new series of delays between attempts.
+        tap: Is shown every byte of its sessions, or None.
     """
 
     def __init__(
@@ -53,11 +55,13 @@ class Link:
         bus: Bus,
         clock: Clock,
         delays: Backoff = backoff,
+        tap: Tap | None = None,
     ) -> None:
         self._robot = robot
         self._connector = connector
         self._bus = bus
         self._clock = clock
+        self._tap = tap
         self._new_delays = delays
         self._delays = delays()
         self._timeline = Timeline(clock)
@@ -139,6 +143,8 @@ class Link:
         self._in_session = True
         try:
             self._publisher.begin(self._next_epoch(), self._timeline)
+            if self._tap is not None:
+                self._tap.begin(self._clock.monotonic(), self._timeline.stamp, self._publisher)
             self._enter(LinkState.HANDSHAKING, "connected, waiting for the first frame", layout=None, notes=[])
             self._counters.begin()
             self._first_frame = True
@@ -156,11 +162,14 @@ class Link:
                 tick_s=robot.protocol.tick_s,
                 first_s=robot.protocol.handshake_s,
                 quiet_s=robot.protocol.quiet / robot.rate_hz if robot.rate_hz else 0.0,
+                tap=self._tap,
             )
             await session.run()
         finally:
             self._counters.end(self._gaps())
             self._in_session = False
+            if self._tap is not None:
+                self._tap.end(self._clock.monotonic())
             with anyio.CancelScope(shield=True):
                 await connection.aclose()
 
@@ -205,6 +214,8 @@ class Link:
     def _online(self, frame: Frame) -> None:
         """The first good frame of a session, or after a silence."""
         self._first_frame = False
+        if self._tap is not None:
+            self._tap.online()
         self._outcome = LinkState.ONLINE
         self._online_s = self._clock.monotonic()
         before = self._data.state
@@ -255,12 +266,12 @@ class Link:
         was_online = self._data.state is LinkState.ONLINE
         last_s = self._counters.last_frame_s
         if was_online:
-            now = self._timeline.now()
-            self._publisher.silent(
-                Quality.STALE if state is LinkState.STALE else Quality.DISCONNECTED,
-                now,
-                None if last_s is None else self._timeline_at(last_s),
-            )
+            quality = Quality.STALE if state is LinkState.STALE else Quality.DISCONNECTED
+            t_last = None if last_s is None else self._timeline_at(last_s)
+            now_s = self._clock.monotonic()
+            if self._tap is not None:
+                self._tap.silent(quality, t_last, now_s)
+            self._publisher.silent(quality, self._timeline.stamp(now_s), t_last)
             self._raise(EventKind.LINK_LOST, LinkState.ONLINE, state, reason)
             # What was under way when the session ended is lost, and nobody can count it.
             missed = Entry(EventKind.COMMAND_MISSED, CommandsMissed(), {"reason": reason})
@@ -287,7 +298,9 @@ class Link:
             await anyio.sleep(1)
             self._follow_clock()
             publisher = self._publisher
-            publisher.expire(self._clock.monotonic())
+            now_s = self._clock.monotonic()
+            if publisher.expire(now_s) and self._tap is not None:
+                self._tap.expired(now_s)
             stats = self._counters.second(
                 self._clock.monotonic(),
                 publisher.bad_values,
