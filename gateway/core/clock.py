@@ -77,7 +77,7 @@ class Timeline:
         return self._last_us
 
     def now(self) -> int:
-        """The UTC time, µs since 1970, of now; a frame that was received before, and is stamped after, keeps its own."""
+        """The UTC time, µs since 1970, of now; a frame received before and stamped after keeps its own."""
         self._now_us = max(self._now_us, self._last_us, int(self._clock.monotonic() * 1e6) + self._offset_us)
         return self._now_us
 
