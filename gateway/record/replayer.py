@@ -61,6 +61,11 @@ class Replayer:
         self._decoder: Decoder | None = None
         self._epoch = ""
 
+    @property
+    def publisher(self) -> Publisher:
+        """Publishes its samples."""
+        return self._publisher
+
     def open(self, opening: Sequence[Chunk], faults: Sequence[Fault], epoch: str) -> None:
         """Begin in the middle of a session.
 
