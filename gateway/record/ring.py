@@ -13,7 +13,7 @@ from gateway.core.tap import Told
 from gateway.record.chunks import Block, Chunk, Kind, Silence, pack
 
 # A block is closed when it spans so long or holds so much.
-BLOCK_US = 1_000_000
+BLOCK_S = 1.0
 BLOCK_BYTES = 256 * 1024
 # What a session may exchange before its first good frame; of one that never comes so far the oldest is forgotten.
 OPENING_BYTES = 256 * 1024
@@ -22,8 +22,8 @@ OPENING_BYTES = 256 * 1024
 class Reader(Protocol):
     """Who reads on while the ring is written."""
 
-    def on_block(self, block: Block) -> None:
-        """A block was closed."""
+    def on_block(self, robot: str, block: Block) -> None:
+        """A block of a robot was closed."""
         ...
 
 
@@ -31,6 +31,7 @@ class Ring:
     """Keeps what a robot's sessions received and sent: a `gateway.core.tap.Tap`.
 
     Args:
+        robot: Its name.
         seconds: How long it is kept, in s.
         n_bytes: How much memory the compressed blocks may take.
 
@@ -39,12 +40,14 @@ class Ring:
         dropped: How many blocks were dropped before their time, for want of room.
     """
 
-    def __init__(self, seconds: float, n_bytes: int) -> None:
-        self._keep_us = int(seconds * 1e6)
+    def __init__(self, robot: str, seconds: float, n_bytes: int) -> None:
+        self.robot = robot
+        self._keep_s = seconds
         self._most_bytes = n_bytes
-        self._blocks: deque[Block] = deque()
+        self._blocks: deque[tuple[float, Block]] = deque()  # with the monotonic time of their last chunk, s
         self._n_bytes = 0
         self._open: list[Chunk] = []
+        self._first_s = self._last_s = 0.0
         self._open_bytes = 0
         self._open_faults: Sequence[Fault] = ()
         self._open_opening: Sequence[Chunk] = ()
@@ -92,10 +95,26 @@ class Ring:
         self._add("end", b"", at_s)
         self._opening, self._is_opening = [], False
 
-    def blocks(self, since_t: int) -> list[Block]:
-        """Every block that holds something from a time on, µs UTC; the one that is being written is closed."""
-        self._close()
-        return [block for block in self._blocks if block.last_t >= since_t]
+    def blocks(self, since_s: float) -> list[Block]:
+        """Every block that holds something from a monotonic time on, s; the one that is being written is closed."""
+        self.close_block()
+        return [block for last_s, block in self._blocks if last_s >= since_s]
+
+    def close_block(self) -> None:
+        """Close the block that is being written, if there is one."""
+        if not self._open:
+            return
+        block = pack(self._open, self._open_faults, self._open_opening)
+        self._open, self._open_bytes = [], 0
+        self._blocks.append((self._last_s, block))
+        self._n_bytes += block.n_bytes
+        while self._last_s - self._blocks[0][0] > self._keep_s:
+            self._n_bytes -= self._blocks.popleft()[1].n_bytes
+        while self._n_bytes > self._most_bytes and len(self._blocks) > 1:
+            self._n_bytes -= self._blocks.popleft()[1].n_bytes
+            self.dropped += 1
+        for reader in self.readers:
+            reader.on_block(self.robot, block)
 
     def _add(self, kind: Kind, data: bytes, at_s: float) -> None:
         if self._told is None or self._stamp is None:
@@ -103,32 +122,19 @@ class Ring:
         t = self._stamp(at_s)
         chunk = Chunk(t, kind, data, self._told.epoch, self._told.seqs)  # type: ignore[arg-type] # a dict of its own
         if not self._open:
+            self._first_s = at_s
             self._open_faults = self._told.faults
             self._open_opening = () if kind == "begin" else tuple(self._opening)
         self._open.append(chunk)
+        self._last_s = at_s
         self._open_bytes += len(data)
         if self._is_opening:
             self._keep_opening(chunk)
-        if self._open_bytes >= BLOCK_BYTES or t - self._open[0].t >= BLOCK_US or t < self._open[0].t:
-            self._close()
+        if self._open_bytes >= BLOCK_BYTES or at_s - self._first_s >= BLOCK_S:
+            self.close_block()
 
     def _keep_opening(self, chunk: Chunk) -> None:
         self._opening.append(chunk)
         self._opening_bytes += len(chunk.data)
         while self._opening_bytes > OPENING_BYTES:
             self._opening_bytes -= len(self._opening.pop(0).data)
-
-    def _close(self) -> None:
-        if not self._open:
-            return
-        block = pack(self._open, self._open_faults, self._open_opening)
-        self._open, self._open_bytes = [], 0
-        self._blocks.append(block)
-        self._n_bytes += block.n_bytes
-        while self._blocks and block.last_t - self._blocks[0].last_t > self._keep_us:
-            self._n_bytes -= self._blocks.popleft().n_bytes
-        while self._n_bytes > self._most_bytes and len(self._blocks) > 1:
-            self._n_bytes -= self._blocks.popleft().n_bytes
-            self.dropped += 1
-        for reader in self.readers:
-            reader.on_block(block)

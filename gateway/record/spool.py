@@ -86,6 +86,22 @@ class End(msgspec.Struct, frozen=True, kw_only=True, tag="end"):
     to_t: int
 
 
+class Outcome(msgspec.Struct, frozen=True, kw_only=True):
+    """What has become of a recording.
+
+    Attributes:
+        error: Why there is no file; "": there is.
+        n_bytes: Its size.
+        n_messages: How many messages it holds.
+        notes: What could not be recorded, one sentence each.
+    """
+
+    error: str = ""
+    n_bytes: int = 0
+    n_messages: int = 0
+    notes: list[str] = []
+
+
 Message = Begin | Raw | Said | End
 _ENCODER = msgspec.msgpack.Encoder()
 _DECODER: msgspec.msgpack.Decoder[Message] = msgspec.msgpack.Decoder(Message)
