@@ -25,14 +25,15 @@ class Chunk(msgspec.Struct, frozen=True, array_like=True, gc=False):
             values come, or that some have become too old.
         data: The bytes, of a datagram exactly one; of `silent` a `Silence`; else empty.
         epoch: The epoch that ran before it.
-        seqs: The number of the last sample before it; by group, where frames bring the state in parts.
+        seqs: The number of the last sample before it; by group, where frames bring the state in parts. None: not told,
+            the numbers go on.
     """
 
     t: int
     kind: Kind
     data: bytes
     epoch: str
-    seqs: int | dict[str, int]
+    seqs: int | dict[str, int] | None
 
 
 class Silence(msgspec.Struct, frozen=True, array_like=True):

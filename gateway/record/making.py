@@ -12,7 +12,6 @@ from gateway.core.bus import Bus, Reading, Topic
 from gateway.core.events import EventRing
 from gateway.core.registry import Registry
 from gateway.core.settings import RobotSettings
-from gateway.core.tap import Seqs
 from gateway.errors import ConfigError, VendorError
 from gateway.record.chunks import Block, Chunk, Silence
 from gateway.record.mcapfile import Mark, Writer
@@ -60,13 +59,14 @@ class Making:
         elif isinstance(message, Said):
             self._writer.said(message.topic, message.t, message.seq, message.data)
         elif isinstance(message, End):
-            about = {"from": str(self._begin.from_t), "to": str(message.to_t), "gateway": self._begin.gateway}
-            self._writer.metadata({**about, **self._begin.reason}, self._begin.robots, message.to_t)
+            self._writer.about({"to": str(message.to_t), **message.more})
             self._writer.finish()
             self.finished = True
 
     def _start(self, begin: Begin) -> None:
         self._begin = begin
+        self._writer.about({"from": str(begin.from_t), "gateway": begin.gateway, **begin.reason})
+        self._writer.robots(begin.robots, begin.from_t)
         if not self._samples:
             return
         try:
@@ -116,6 +116,7 @@ class _RobotMaking:
             if chunks[0].kind != "begin":
                 self._resume(block, chunks[0])
         for chunk in chunks:
+            self._number(chunk)
             self._write(chunk)
             self._play(chunk)
 
@@ -129,12 +130,20 @@ class _RobotMaking:
         """Events are recorded as they were told, not as they are found again."""
 
     def _resume(self, block: Block, first: Chunk) -> None:
+        """Begin in the middle of a session: what opened it comes first."""
+        replayer, seqs = self._replayer, 0 if first.seqs is None else first.seqs
+        if replayer is not None:
+            replayer.open(first.epoch)
         for chunk in block.opening:
+            if chunk.kind == "begin":
+                self._mark(chunk.t, Mark(kind="opening", epoch=chunk.epoch))
+                continue
             self._write(chunk)
-        self._mark(first.t, Mark(kind="resume", epoch=first.epoch, seqs=first.seqs, faults=list(block.faults)))
-        if self._replayer is not None:
-            self._replayer.open(block.opening, block.faults, first.epoch)
-            self._replayer.publisher.number(first.seqs)
+            if replayer is not None:
+                replayer.read(chunk)
+        self._mark(first.t, Mark(kind="resume", epoch=first.epoch, seqs=seqs, faults=list(block.faults)))
+        if replayer is not None:
+            replayer.resume(first.epoch, seqs, block.faults)
 
     def _write(self, chunk: Chunk) -> None:
         if chunk.kind == "received" or chunk.kind == "sent":  # noqa: PLR1714 - so that mypy follows
@@ -143,18 +152,22 @@ class _RobotMaking:
         elif chunk.kind == "silent":
             silence = _SILENCE.decode(chunk.data)
             mark = Mark(
-                kind="silent", epoch=chunk.epoch, seqs=chunk.seqs, quality=silence.quality, t_last=silence.t_last
+                kind="silent", epoch=chunk.epoch, seqs=chunk.seqs or 0, quality=silence.quality, t_last=silence.t_last
             )
             self._mark(chunk.t, mark)
         else:
-            self._mark(chunk.t, Mark(kind=chunk.kind, epoch=chunk.epoch, seqs=chunk.seqs))
+            self._mark(chunk.t, Mark(kind=chunk.kind, epoch=chunk.epoch, seqs=chunk.seqs or 0))
+
+    def _number(self, chunk: Chunk) -> None:
+        """Say how the next sample is numbered, where a replay alone would number it otherwise."""
+        if self._replayer is None or chunk.kind != "received" or chunk.seqs is None:
+            return
+        if self._replayer.publisher.seqs != chunk.seqs:
+            self._mark(chunk.t, Mark(kind="number", epoch=chunk.epoch, seqs=chunk.seqs))
 
     def _play(self, chunk: Chunk) -> None:
         if self._replayer is None:
             return
-        before: Seqs = self._replayer.publisher.seqs
-        if chunk.kind == "received" and before != chunk.seqs:
-            self._mark(chunk.t, Mark(kind="number", epoch=chunk.epoch, seqs=chunk.seqs))
         try:
             self._replayer.play(chunk)
         except Exception as error:  # noqa: BLE001 - a plugin's mistake costs the samples, not the bytes

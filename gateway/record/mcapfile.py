@@ -28,8 +28,9 @@ class Mark(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One line of a robot's `session` channel: what a replay must know besides the bytes.
 
     Attributes:
-        kind: `begin`, `end`: of a session. `resume`: the recording begins here, in the middle of one; its opening
-            stands before. `number`: the next sample is numbered so. `silent`, `expired`: the gateway said so.
+        kind: `begin`, `end`: of a session. `resume`: the recording begins here, in the middle of one; what was
+            exchanged until its first good frame stands between `opening` and this, and is only read. `number`: the
+            next sample is numbered so. `silent`, `expired`: the gateway said so.
         epoch: The epoch that runs.
         seqs: The number of the last sample; by group, where frames bring the state in parts.
         faults: `resume`: the faults that stand.
@@ -37,9 +38,9 @@ class Mark(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         t_last: `silent`: the time of the last frame, µs UTC.
     """
 
-    kind: Literal["begin", "resume", "number", "silent", "expired", "end"]
+    kind: Literal["begin", "opening", "resume", "number", "silent", "expired", "end"]
     epoch: str
-    seqs: int | dict[str, int]
+    seqs: int | dict[str, int] = 0
     faults: list[Fault] = []
     quality: Quality | None = None
     t_last: int | None = None
@@ -100,9 +101,12 @@ class Writer:
         """Write the JSON of a sample or an event of a topic, at µs UTC, with its number."""
         self._add(self._channel(topic, "json", topic.rpartition("/")[2]), t, data, seq)
 
-    def metadata(self, values: dict[str, str], robots: str, t: int) -> None:
-        """Write what the recording is, and the robots as they were configured."""
+    def about(self, values: dict[str, str]) -> None:
+        """Write what the recording is; what is written later adds to it."""
         self._writer.add_metadata(METADATA, {"layout": LAYOUT, **values})
+
+    def robots(self, robots: str, t: int) -> None:
+        """Write the robots as they were configured at a time, µs UTC."""
         self._writer.add_attachment(t * 1000, t * 1000, ROBOTS, "application/toml", robots.encode())
 
     def finish(self) -> None:

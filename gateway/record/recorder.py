@@ -250,7 +250,7 @@ class Recorder:
             async with Filing.opened(path) as filing:
                 await self._hand_over(opened, filing, now_s + LONGEST_S)
                 self._stop(opened)
-                opened.put(End(to_t=self._clock.utc_us()))
+                opened.put(End(to_t=self._clock.utc_us(), more=_again(opened.triggers)))
                 await self._drain(opened, filing)
                 outcome = await filing.finished()
         except OSError as failure:
@@ -309,6 +309,11 @@ class Recorder:
             from_t = 0
         about = {"trigger": triggers[0].kind, "robot": triggers[0].robot, "t": str(triggers[0].t)}
         return Begin(robots=robots, vendor_dirs=vendor_dirs, from_t=from_t, reason=about, gateway=__version__)
+
+
+def _again(triggers: list[Trigger]) -> dict[str, str]:
+    """What happened while a recording was made."""
+    return {"again": _words(triggers[1:])} if len(triggers) > 1 else {}
 
 
 def _words(triggers: list[Trigger]) -> str:

@@ -13,6 +13,7 @@ from gateway.core.bus import Bus, Origin
 from gateway.core.controller_clock import ControllerClock
 from gateway.core.publisher import Publisher
 from gateway.core.settings import RobotSettings
+from gateway.core.tap import Seqs
 from gateway.record.chunks import Chunk, Silence
 
 _SILENCE = msgspec.json.Decoder(Silence)
@@ -66,18 +67,25 @@ class Replayer:
         """Publishes its samples."""
         return self._publisher
 
-    def open(self, opening: Sequence[Chunk], faults: Sequence[Fault], epoch: str) -> None:
-        """Begin in the middle of a session.
+    def open(self, epoch: str) -> None:
+        """Begin to read a session of which nothing is published yet: what is read is what opened it."""
+        self._decoder = self._robot.protocol.observer(self._robot.options)
+        self._epoch = epoch
+
+    def resume(self, epoch: str, seqs: Seqs, faults: Sequence[Fault]) -> None:
+        """Go on in the middle of a session.
 
         Args:
-            opening: What was exchanged in it until its first good frame; nothing of that is published again.
-            faults: The faults that stand.
             epoch: The running epoch.
+            seqs: The number of the last sample.
+            faults: The faults that stand.
         """
-        self._begin(epoch)
+        if self._decoder is None:
+            self.open(epoch)
+        self._epoch = epoch
+        self._publisher.begin(epoch, self._time)
         self._publisher.know(faults)
-        for chunk in opening:
-            self._read(chunk)
+        self._publisher.number(seqs)
 
     def play(self, chunk: Chunk) -> list[Event]:
         """Take the next chunk and publish what it completed; what that was.
@@ -85,13 +93,14 @@ class Replayer:
         An epoch that ends inside a session, because the clock was set back, is followed.
         """
         self._time.t, at_s = chunk.t, chunk.t / 1e6
-        if chunk.kind == "begin" or (self._decoder is None and chunk.data and chunk.kind != "silent"):
-            self._begin(chunk.epoch)
+        if chunk.kind == "begin" or (self._decoder is None and chunk.kind in {"received", "sent"}):
+            self.open(chunk.epoch)
+            self._publisher.begin(chunk.epoch, self._time)
         elif chunk.epoch != self._epoch:
             self._epoch = chunk.epoch
             self._publisher.set_back(chunk.epoch)
-        events = self._read(chunk)
-        if events or chunk.kind == "silent":
+        events = self.read(chunk)
+        if chunk.seqs is not None and (events or chunk.kind == "silent"):
             self._publisher.number(chunk.seqs)
         for event in events:
             if isinstance(event, Frame):
@@ -107,13 +116,8 @@ class Replayer:
             self._decoder = None
         return events
 
-    def _begin(self, epoch: str) -> None:
-        self._decoder = self._robot.protocol.observer(self._robot.options)
-        self._epoch = epoch
-        self._publisher.begin(epoch, self._time)
-
-    def _read(self, chunk: Chunk) -> list[Event]:
-        """Show a chunk to the decoder."""
+    def read(self, chunk: Chunk) -> list[Event]:
+        """Show a chunk to the decoder, and publish nothing."""
         decoder = self._decoder
         if decoder is None:
             return []

@@ -81,9 +81,11 @@ class End(msgspec.Struct, frozen=True, kw_only=True, tag="end"):
 
     Attributes:
         to_t: The recording holds what was received until then, µs UTC.
+        more: What else it says of itself: what triggered it again.
     """
 
     to_t: int
+    more: dict[str, str] = {}
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
