@@ -60,6 +60,9 @@ class Server(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         return split_listen(self.listen)
 
 
+# What a cell's people want to look into, as a rule.
+TRIGGERS = ("fault.raised", "estop.pressed", "collision.detected", "link.lost")
+
 Trigger = Annotated[
     str,
     Meta(
@@ -80,7 +83,7 @@ class Recorder(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     ] = ""
     on: Annotated[
         list[Trigger], Meta(max_length=64, description="Kinds of events that trigger a recording of the whole cell.")
-    ] = ["fault.raised", "estop.pressed", "collision.detected", "link.lost"]
+    ] = msgspec.field(default_factory=lambda: list(TRIGGERS))
     before_s: Annotated[float, Meta(ge=0, le=3600, description="How long before its trigger a recording begins.")] = (
         30.0
     )

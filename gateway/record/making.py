@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 
-from gateway.api.model import Event
+from gateway.api.model import Event, Sample
 from gateway.config import parse
 from gateway.core.bus import Bus, Reading, Topic
 from gateway.core.events import EventRing
@@ -101,6 +101,7 @@ class _RobotMaking:
         self._notes = notes
         self._index = 0
         self._begun = False
+        self._before: dict[str, Sample] = {}  # the states that stand when the recording begins
         self._replayer: Replayer | None = None
         if settings is not None:
             bus = Bus(EventRing(1), 1)
@@ -123,11 +124,20 @@ class _RobotMaking:
     def on_reading(self, topic: Topic, reading: Reading) -> None:
         """Write a sample."""
         sample = reading.sample(topic)
-        if sample.t >= self._from_t:
-            self._writer.said(topic.name, sample.t, sample.seq, _JSON.encode(sample))
+        if sample.t < self._from_t:
+            if topic.group.delivery == "state":
+                self._before[topic.name] = sample
+            return
+        for standing in self._before.values():
+            self._say(standing)
+        self._before.clear()
+        self._say(sample)
 
     def on_event(self, topic: Topic, event: Event) -> None:
         """Events are recorded as they were told, not as they are found again."""
+
+    def _say(self, sample: Sample) -> None:
+        self._writer.said(sample.topic, sample.t, sample.seq, _JSON.encode(sample))
 
     def _resume(self, block: Block, first: Chunk) -> None:
         """Begin in the middle of a session: what opened it comes first."""

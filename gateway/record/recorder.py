@@ -31,6 +31,7 @@ from gateway.record.spool import Begin, End, Message, Outcome, Raw, Said
 _LOG = structlog.get_logger()
 # Topics that do not follow from bytes: they are kept as they are told.
 TOLD_GROUPS = ("link", "link_stats", "events", "commands")
+_EVENTS = ("/events", "/commands")
 # Read so much earlier than asked for: what frames tell in parts is complete then.
 WARM_UP_S = 5.0
 # A recording that is triggered again and again ends after so long; the next trigger begins another.
@@ -115,6 +116,7 @@ class Recorder:
         self._robots = robots
         self._rings: dict[str, Ring] = {}
         self._told: deque[tuple[float, Said]] = deque(maxlen=_MOST_TOLD)
+        self._standing: dict[str, Said] = {}  # by topic: what was told last before that
         self._heard: set[Topic] = set()
         self._pending: list[Trigger] = []
         self._wanted = anyio.Event()
@@ -170,7 +172,7 @@ class Recorder:
         now = self._clock.utc_us()
         yield self._begin([Trigger("capture", robot, now)], seconds, blocks)
         yield from (Raw(robot=robot, block=block) for block in blocks)
-        yield from (said for at_s, said in self._told if at_s >= since_s and said.topic.startswith(f"{robot}/"))
+        yield from (said for said in self._told_since(since_s) if said.topic.startswith(f"{robot}/"))
         yield End(to_t=now)
 
     async def run(self) -> None:
@@ -207,9 +209,21 @@ class Recorder:
         now_s = self._clock.monotonic()
         self._told.append((now_s, said))
         while now_s - self._told[0][0] > self._settings.ring_s:
-            self._told.popleft()
+            _, old = self._told.popleft()
+            self._standing[old.topic] = old
         if self._open is not None:
             self._open.put(said)
+
+    def _told_since(self, since_s: float) -> list[Said]:
+        """What was told since a monotonic time, s, behind the states that stood then."""
+        standing = {name: said for name, said in self._standing.items() if not name.endswith(_EVENTS)}
+        found = []
+        for at_s, said in self._told:
+            if at_s >= since_s:
+                found.append(said)
+            elif not said.topic.endswith(_EVENTS):
+                standing[said.topic] = said
+        return [*standing.values(), *found]
 
     async def _listen(self) -> None:
         """Listen to every robot, also to those that come later."""
@@ -241,9 +255,8 @@ class Recorder:
             for block in ring.blocks(since_s - WARM_UP_S):
                 opened.put(Raw(robot=ring.robot, block=block))
             ring.readers.append(self)
-        for at_s, said in self._told:
-            if at_s >= since_s:
-                opened.put(said)
+        for said in self._told_since(since_s):
+            opened.put(said)
         blocks = [message.block for message in opened.waiting if isinstance(message, Raw)]
         opened.waiting.appendleft(self._begin(triggers, settings.before_s, blocks))
         try:
