@@ -25,6 +25,8 @@ _JSON = msgspec.json.Encoder()
 class Making:
     """Takes the messages of a spool and writes the file.
 
+    The `vendor` group is left out: it is the bytes again, many times larger, and `replay` and `decode` show it.
+
     Args:
         writer: The file; finished with `End`.
         samples: Whether the samples that follow from the bytes are written as well.
@@ -107,7 +109,8 @@ class _RobotMaking:
             bus = Bus(EventRing(1), 1)
             self._replayer = Replayer(settings, bus, settings.origin)
             for topic in bus.topics.values():
-                topic.listeners.append(self)
+                if topic.group.name != "vendor":
+                    topic.listeners.append(self)
 
     def take(self, block: Block) -> None:
         """Write the next block of its ring, and what follows from it."""
