@@ -137,6 +137,10 @@ class Protocol:
             return self.make_reader()
         return FramedDecoder(cast("Framing", self.framing))
 
+    def observer(self, options: msgspec.Struct) -> Decoder:
+        """Make a decoder that reads a recorded session of a robot with these options: it is told what was sent."""
+        return self.reader() if self.request is None else self.decoder(options)
+
     def transport(self, options: msgspec.Struct) -> Transport:
         """What a robot with these options is reached over."""
         if getattr(options, "role", "client") == "server":

@@ -1,0 +1,49 @@
+"""The process that writes one recording: a spool on standard input, the outcome as one line of JSON on standard output.
+
+It is a process of its own so that neither its work nor a full disk can hold up the gateway.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import msgspec
+
+from gateway.record.making import Making
+from gateway.record.mcapfile import Writer
+from gateway.record.spool import Outcome, SpoolError, SpoolReader
+
+_READ = 1 << 16
+_NICE = 10  # a recording may take its time: robots may not
+
+
+def write(path: Path) -> Outcome:
+    """Write what comes on standard input."""
+    try:
+        with Writer(path) as writer:
+            making, reader = Making(writer), SpoolReader()
+            while data := os.read(sys.stdin.fileno(), _READ):
+                for message in reader.feed(data):
+                    making.take(message)
+            if not making.finished:
+                return Outcome(error="the gateway has ended before the recording did")
+    except SpoolError as error:
+        return Outcome(error=str(error))
+    except OSError as error:
+        return Outcome(error=f"{path}: {error.strerror or error}")
+    return Outcome(n_bytes=path.stat().st_size, n_messages=writer.n_messages, notes=making.notes)
+
+
+def main() -> None:
+    """Write the file that the first argument names."""
+    os.nice(_NICE)
+    outcome = write(Path(sys.argv[1]))
+    sys.stdout.buffer.write(msgspec.json.encode(outcome) + b"\n")
+    sys.stdout.flush()
+    sys.exit(1 if outcome.error else 0)
+
+
+if __name__ == "__main__":
+    main()
