@@ -17,7 +17,7 @@ JSON_SUBPROTOCOL = "robot-gateway.v1+json"
 MSGPACK_SUBPROTOCOL = "robot-gateway.v1+msgpack"
 PROTOCOL_VERSION = 1
 # Offered besides one of these with the token behind it; never the one that the gateway picks.
-TOKEN_SUBPROTOCOL = "bearer."
+TOKEN_SUBPROTOCOL = "bearer."  # noqa: S105 - what comes before a token is none
 
 MAX_MESSAGE_BYTES = 65_536
 MAX_SUBSCRIPTIONS = 64
