@@ -33,13 +33,17 @@ def test_a_good_file_comes_back_with_every_default_and_nothing_else_on_stdout(ap
     result = CliRunner().invoke(app, [str(path)])
     assert result.exit_code == 0
     printed = tomllib.loads(result.stdout)
-    assert printed["server"] | {
-        "listen": "127.0.0.1:8765",
-        "insecure": False,
-        "flush_ms": 2.0,
-        "event_ring": 10000,
-        "command_ring": 20000,
-    } == printed["server"]
+    assert (
+        printed["server"]
+        | {
+            "listen": "127.0.0.1:8765",
+            "insecure": False,
+            "flush_ms": 2.0,
+            "event_ring": 10000,
+            "command_ring": 20000,
+        }
+        == printed["server"]
+    )
     assert printed["robots"][0]["rate_hz"] == 50.0
     assert result.stderr == f"valid: {path}, 1 robot\n"
 

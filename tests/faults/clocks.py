@@ -111,5 +111,8 @@ async def back(stage: ClockStage, random: Random) -> Seen:
 CLOCK = Series(
     name="clock",
     open=clock,
-    faults=(Fault(name="clock set forward by hours", strike=forward), Fault(name="clock set back by hours", strike=back)),
+    faults=(
+        Fault(name="clock set forward by hours", strike=forward),
+        Fault(name="clock set back by hours", strike=back),
+    ),
 )

@@ -195,9 +195,7 @@ class Series(Generic[_Stage]):
             after = await stage.gateway.usage()
             self._note_stay(stage, before, after, report, warm=n_strikes > len(self.faults) * _WARM_ROUNDS)
 
-    async def _strike(
-        self, stage: _Stage, fault: Fault[_Stage], random: Random, report: Report, before: Usage
-    ) -> bool:
+    async def _strike(self, stage: _Stage, fault: Fault[_Stage], random: Random, report: Report, before: Usage) -> bool:
         """Let one fault happen; whether the stage is still of use."""
         row = report.row(self.name, fault.name)
         since = stage.gateway.n_said

@@ -111,7 +111,9 @@ async def plugins(folder: Path) -> AsyncIterator[PluginStage]:
         pushers, entries, fickle = {}, "", set()
         for entry_point in (*_STATES, "block", "signal"):
             pusher = pushers[entry_point] = Pusher()
-            protocols = ("close", "keep") if entry_point in _STATES else ("signal" if entry_point == "signal" else "close",)
+            protocols = (
+                ("close", "keep") if entry_point in _STATES else ("signal" if entry_point == "signal" else "close",)
+            )
             for protocol in protocols:
                 name = f"{entry_point}-{protocol}"
                 port = await stack.enter_async_context(listening(tasks, pusher.serve))
@@ -204,7 +206,9 @@ async def blocking(stage: PluginStage, random: Random) -> Seen:
     assert await _late_beats(stage) > before, "the lag of the loop is in no metric"
     status, _ = await stage.gateway.fetched("/healthz")
     assert status == 200, f"/healthz says {status} after the block"
-    return Seen(max(0.0, recovery_s), f"{_BLOCK_S:g} s: /healthz answers nothing, the lag is in /metrics, no gap, no link lost")
+    return Seen(
+        max(0.0, recovery_s), f"{_BLOCK_S:g} s: /healthz answers nothing, the lag is in /metrics, no gap, no link lost"
+    )
 
 
 async def _healthy_within(stage: PluginStage, seconds: float) -> bool:

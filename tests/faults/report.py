@@ -68,16 +68,17 @@ class Report:
     @property
     def broken(self) -> list[str]:
         """Every rule that was broken."""
-        return [
-            f"{series}, {fault}: {text}" for (series, fault), row in self.rows.items() for text in row.broken
-        ]
+        return [f"{series}, {fault}: {text}" for (series, fault), row in self.rows.items() for text in row.broken]
 
     def text(self) -> str:
         """The tables, in Markdown."""
         return "\n".join([*self._faults(), "", *self._stays(), "", *self._rules()])
 
     def _faults(self) -> list[str]:
-        lines = ["| series | fault | times | recovery p50 | max | rules broken | last seen |", "|---|---|---|---|---|---|---|"]
+        lines = [
+            "| series | fault | times | recovery p50 | max | rules broken | last seen |",
+            "|---|---|---|---|---|---|---|",
+        ]
         for (series, fault), row in self.rows.items():
             found = row.recoveries_s
             times = f"{statistics.median(found):.2f} s | {max(found):.2f} s" if found else "- | -"

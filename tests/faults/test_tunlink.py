@@ -49,7 +49,9 @@ def test_what_happens_to_a_share_of_the_packets_happens_to_that_share(weather: W
 def test_a_damaged_packet_has_one_wrong_bit_behind_its_headers() -> None:
     found, _ = shares(Weather(corrupt=1.0))
     for ((_, packet),) in found:
-        differences = [(at, one ^ other) for at, (one, other) in enumerate(zip(PACKET, packet, strict=True)) if one != other]
+        differences = [
+            (at, one ^ other) for at, (one, other) in enumerate(zip(PACKET, packet, strict=True)) if one != other
+        ]
         ((at, bits),) = differences
         assert at >= 28
         assert bits.bit_count() == 1

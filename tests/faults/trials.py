@@ -142,7 +142,10 @@ async def out_of_memory(folder: Path, random: Random) -> Seen:
             judge = Watch(running.url)
             async with anyio.create_task_group() as tasks, watching(tasks, judge):
                 await judge.begun({robot.name for robot in robots})
-                with _no_memory(running.pid), crowd(running.listen, _NEVER_READ, masked(_TEXT, subscribe(["*"], mode="all"))):
+                with (
+                    _no_memory(running.pid),
+                    crowd(running.listen, _NEVER_READ, masked(_TEXT, subscribe(["*"], mode="all"))),
+                ):
                     code = await ended(running.process, _HOLD_S)
             wrong = [text for text in judge.broken if "goes from seq" in text or "back in time" in text]
             assert not wrong, wrong
