@@ -69,6 +69,8 @@ def rows(plan: Plan) -> Iterator[_Row]:
         yield "", "", held.reason
     for number, change in enumerate(plan.doors):
         yield "" if number else "doors", change.key, _change(change)
+    for number, change in enumerate(plan.recorder):
+        yield "" if number else "recorder", change.key, _change(change)
     for told in plan.restart:
         name, _, why = told.partition(": ")
         yield "at restart", name, why

@@ -11,7 +11,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from gateway.api.messages import RobotInfo
+from gateway.api.messages import RecorderInfo, RobotInfo
 from gateway.api.model import Event, EventKind, LinkState, Sample
 
 UNKNOWN = "–"  # noqa: RUF001 - a dash, as in print
@@ -101,6 +101,17 @@ def robots_table(
     on = [robot for robot in shown if robot.link.state is LinkState.ONLINE]
     below += [Text.assemble((f"{robot.name}: ", "bold"), note) for robot in on for note in robot.link.notes]
     return Group(table, *below)
+
+
+def recorder_line(recorder: RecorderInfo | None) -> Text | None:
+    """What the recorder does that one should know; None: nothing."""
+    if recorder is None:
+        return None
+    if recorder.error is not None:
+        return Text.assemble(("recording failed: ", "bold red"), recorder.error)
+    if recorder.recording is not None:
+        return Text.assemble(("recording: ", "bold"), recorder.recording)
+    return None
 
 
 def _needed(rows: Iterable[Sequence[Text]], kept: Collection[str]) -> int:

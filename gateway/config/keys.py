@@ -166,8 +166,8 @@ class Recorder(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     after_s: Annotated[float, Meta(ge=0, le=600, description="How long after its trigger a recording ends.")] = 10.0
     ring_s: Annotated[float, Meta(ge=1, le=3600, description="How long each robot's bytes are kept in memory.")] = 60.0
     ring_mb: Annotated[
-        float, Meta(ge=0.1, le=4000, description="How many MB of memory that may take for each robot, compressed.")
-    ] = 8.0
+        float, Meta(ge=1, le=64_000, description="How many MB of memory that may take, compressed, of all robots.")
+    ] = 32.0
     keep_files: Annotated[int, Meta(ge=1, le=1_000_000, description="How many recordings are kept.")] = 100
     keep_mb: Annotated[float, Meta(ge=1, description="How many MB they may take on the disk.")] = 2000.0
     keep_days: Annotated[float, Meta(gt=0, le=36500, description="How old they may become.")] = 90.0

@@ -76,6 +76,7 @@ class Block(msgspec.Struct, frozen=True, kw_only=True):
         return _DECODER.decode(zstandard.ZstdDecompressor().decompress(self.packed))
 
 
+_COMPRESSOR = zstandard.ZstdCompressor(compression_params=_PARAMETERS)
 _ENCODER = msgspec.msgpack.Encoder()
 _DECODER = msgspec.msgpack.Decoder(list[Chunk])
 
@@ -88,5 +89,13 @@ def pack(chunks: Sequence[Chunk], faults: Iterable[Fault], opening: Sequence[Chu
         faults: What stood before the first.
         opening: The opening of their session, where it is over.
     """
-    packed = zstandard.ZstdCompressor(compression_params=_PARAMETERS).compress(_ENCODER.encode(chunks))
+    packed = _COMPRESSOR.compress(_ENCODER.encode(chunks))
     return Block(first_t=chunks[0].t, last_t=chunks[-1].t, faults=tuple(faults), opening=tuple(opening), packed=packed)
+
+
+def before(block: Block, t: int) -> Block | None:
+    """What a block holds before a time, µs UTC; None: nothing."""
+    if block.first_t < t and block.last_t < t:
+        return block
+    early = [chunk for chunk in block.chunks() if chunk.t < t] if min(block.first_t, block.last_t) < t else []
+    return pack(early, block.faults, block.opening) if early else None

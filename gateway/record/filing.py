@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import sys
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
 import anyio
 import anyio.abc
 import msgspec
 
+import gateway
 from gateway.record.spool import Message, Outcome, encode
 
-# A process that takes nothing for so long is given up.
-STUCK_S = 30.0
+# A process that takes nothing for so long is given up; when it has everything it may still have much to write.
+STUCK_S = 60.0
+FINISH_S = 900.0
 _LONGEST_ANSWER = 1 << 20
+# The process runs where its code lies: a folder `gateway` in the current one would be taken for it.
+_CODE = Path(gateway.__file__).parents[1]
 
 
 class Filing:
@@ -40,7 +44,7 @@ class Filing:
         Raises:
             OSError: It cannot be started.
         """
-        process = await anyio.open_process([sys.executable, "-m", "gateway.record", str(path)], stderr=None)
+        process = await anyio.open_process(_command(path), stderr=None, cwd=_CODE)
         try:
             yield cls(process)
         finally:
@@ -57,6 +61,12 @@ class Filing:
         except (anyio.BrokenResourceError, anyio.ClosedResourceError, TimeoutError, OSError):
             self.broken = True
 
+    def kill(self) -> None:
+        """End the process at once; it leaves no file."""
+        self.broken = True
+        with suppress(ProcessLookupError):
+            self._process.kill()
+
     async def finished(self) -> Outcome:
         """Wait until the file is there, or it is known why not."""
         process = self._process
@@ -65,16 +75,20 @@ class Filing:
         await process.stdin.aclose()
         told = bytearray()
         try:
-            with anyio.fail_after(STUCK_S):
+            with anyio.fail_after(FINISH_S):
                 async for data in process.stdout:
                     told += data[: _LONGEST_ANSWER - len(told)]
                 await process.wait()
         except TimeoutError:
-            return Outcome(error=f"the process that writes it did not end within {STUCK_S:g} s")
+            return Outcome(error=f"the process that writes it did not end within {FINISH_S:g} s")
         try:
             return msgspec.json.decode(bytes(told), type=Outcome)
         except msgspec.DecodeError:
             return Outcome(error=f"the process that writes it has ended with exit code {process.returncode}")
+
+
+def _command(path: Path) -> list[str]:
+    return [sys.executable, "-m", "gateway.record", str(path.absolute())]
 
 
 async def _closed(process: anyio.abc.Process) -> None:

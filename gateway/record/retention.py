@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -65,15 +68,44 @@ def tidy(directory: Path, settings: RecorderSettings, now_s: float) -> list[Path
 
 
 def sweep(directory: Path) -> list[Path]:
-    """Remove what interrupted recordings have left, when nobody writes one; which they were.
+    """Remove what interrupted recordings have left and nobody writes any more; which they were.
 
     Raises:
         OSError: The folder cannot be read or changed.
     """
-    gone = list(_named(directory, PART))
+    gone = [path for path in _named(directory, PART) if not _is_written(path)]
     for path in gone:
         path.unlink(missing_ok=True)
     return gone
+
+
+def hold(path: Path) -> int:
+    """Show that a file is being written, for as long as the descriptor is open.
+
+    Raises:
+        OSError: It is not there.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    with suppress(OSError):  # a file system without locks
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    return descriptor
+
+
+def _is_written(path: Path) -> bool:
+    """Whether some process, maybe of another gateway, writes a file now."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    finally:
+        os.close(descriptor)
+    return False
 
 
 def _named(directory: Path, behind: str) -> Iterator[Path]:

@@ -14,7 +14,7 @@ from gateway.record.chunks import Block, Chunk, Kind, Silence, pack
 
 # A block is closed when it spans so long or holds so much.
 BLOCK_S = 1.0
-BLOCK_BYTES = 256 * 1024
+BLOCK_BYTES = 128 * 1024
 # What a session may exchange before its first good frame; of one that never comes so far the oldest is forgotten.
 OPENING_BYTES = 256 * 1024
 
@@ -64,6 +64,23 @@ class Ring:
         """What is kept, compressed."""
         return self._n_bytes
 
+    @property
+    def span_s(self) -> float:
+        """How long ago the oldest block ended when the newest did, in s."""
+        return self._blocks[-1][0] - self._blocks[0][0] if self._blocks else 0.0
+
+    def resize(self, seconds: float, n_bytes: int) -> None:
+        """Keep more or less from now on."""
+        self._keep_s, self._most_bytes = seconds, n_bytes
+
+    def shorten(self) -> bool:
+        """Drop the oldest block before its time, unless it is the only one; whether it was dropped."""
+        if len(self._blocks) <= 1:
+            return False
+        self._n_bytes -= self._blocks.popleft()[1].n_bytes
+        self.dropped += 1
+        return True
+
     def begin(self, at_s: float, stamp: Callable[[float], int], told: Told) -> None:
         """A session has begun."""
         self._stamp, self._told = stamp, told
@@ -100,6 +117,11 @@ class Ring:
         self.close_block()
         return [block for last_s, block in self._blocks if last_s >= since_s]
 
+    def close_old_block(self, now_s: float) -> None:
+        """Close the block that is being written if it began long ago, monotonic: nothing may come for hours."""
+        if self._open and now_s - self._first_s >= BLOCK_S:
+            self.close_block()
+
     def close_block(self) -> None:
         """Close the block that is being written, if there is one."""
         if not self._open:
@@ -110,9 +132,8 @@ class Ring:
         self._n_bytes += block.n_bytes
         while self._last_s - self._blocks[0][0] > self._keep_s:
             self._n_bytes -= self._blocks.popleft()[1].n_bytes
-        while self._n_bytes > self._most_bytes and len(self._blocks) > 1:
-            self._n_bytes -= self._blocks.popleft()[1].n_bytes
-            self.dropped += 1
+        while self._n_bytes > self._most_bytes and self.shorten():
+            pass
         for reader in self.readers:
             reader.on_block(self.robot, block)
 

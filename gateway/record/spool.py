@@ -76,6 +76,18 @@ class Said(msgspec.Struct, frozen=True, kw_only=True, tag="said"):
     data: bytes
 
 
+class Lost(msgspec.Struct, frozen=True, kw_only=True, tag="lost"):
+    """Something was left out here: the reader was too slow.
+
+    Attributes:
+        n_messages: How many messages.
+        n_bytes: How large they were.
+    """
+
+    n_messages: int
+    n_bytes: int
+
+
 class End(msgspec.Struct, frozen=True, kw_only=True, tag="end"):
     """The last message: the recording is whole.
 
@@ -104,7 +116,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     notes: list[str] = []
 
 
-Message = Begin | Raw | Said | End
+Message = Begin | Raw | Said | Lost | End
 _ENCODER = msgspec.msgpack.Encoder()
 _DECODER: msgspec.msgpack.Decoder[Message] = msgspec.msgpack.Decoder(Message)
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import cast
 
 from aiohttp import web
 
 from gateway.api.describe import describe, group_schema
-from gateway.api.messages import Description, RobotInfo
+from gateway.api.messages import Description, RecorderInfo, RobotInfo
 from gateway.api.model import GROUPS, Link, LinkStats, Sample
 from gateway.api.vendor import Protocol
 from gateway.core.bus import Bus, Topic
@@ -29,9 +29,13 @@ class Cell:
     Args:
         robots: As configured.
         bus: Where they are published.
+        recorder: Tells how the recorder does; None: there is none.
     """
 
-    def __init__(self, robots: Iterable[Robot], bus: Bus) -> None:
+    def __init__(
+        self, robots: Iterable[Robot], bus: Bus, recorder: Callable[[], RecorderInfo | None] = lambda: None
+    ) -> None:
+        self._recorder = recorder
         self._robots = {robot.name: robot for robot in robots}
         self.bus = bus
         self._vendor_shapes: dict[int, tuple[Protocol, Shape]] = {}  # by the protocol's identity
@@ -45,6 +49,11 @@ class Cell:
     def topics(self) -> Mapping[str, Topic]:
         """The topics of the bus that there are here, by name."""
         return self.bus.topics
+
+    @property
+    def recorder(self) -> RecorderInfo | None:
+        """How the recorder does; None: there is none, or not all of the cell may be seen."""
+        return self._recorder()
 
     @property
     def last_event(self) -> str:

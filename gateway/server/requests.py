@@ -161,7 +161,7 @@ class Requests:
         return messages.Result(id=request.id, events=events, missed=-1 if missed is None else missed)
 
     def _robots(self, request: messages.Robots) -> messages.Result:
-        return messages.Result(id=request.id, robots=self._cell.infos())
+        return messages.Result(id=request.id, robots=self._cell.infos(), recorder=self._cell.recorder)
 
     def _describe(self, request: messages.Describe) -> messages.Result:
         topic = self._cell.topics.get(request.topic)

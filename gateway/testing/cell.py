@@ -58,6 +58,7 @@ async def virtual_cell(
     keep: int = 0,
     settings: Mapping[str, object] | None = None,
     server: Mapping[str, object] | None = None,
+    recorder: Mapping[str, object] | None = None,
     simulated: msgspec.Struct | None = None,
     registry: Registry | None = None,
 ) -> AsyncIterator[VirtualCell]:
@@ -76,6 +77,7 @@ async def virtual_cell(
             that protocol's options.
         server: Further keys of the table `[server]`, such as `tokens`; it listens on a free port of this
             machine unless `listen` says otherwise.
+        recorder: Keys of the table `[recorder]`.
         simulated: Options of the virtual controllers; None: their defaults.
         registry: Where the plugin is found.
 
@@ -106,6 +108,7 @@ async def virtual_cell(
         )
         doors = {"listen": "127.0.0.1:0", **(server or {})}
         text = "[server]\n" + "".join(f"{key} = {toml_value(value)}\n" for key, value in doors.items())
+        text += "[recorder]\n" + "".join(f"{key} = {toml_value(value)}\n" for key, value in (recorder or {}).items())
         for number, controller in enumerate(controllers, start=1):
             entry = {
                 "name": f"r{number}",
