@@ -18,6 +18,7 @@ from gateway.core.clock import Clock, SystemClock
 from gateway.core.events import EventRing
 from gateway.core.link import Link, announce_broken
 from gateway.core.settings import BrokenRobot, RobotSettings
+from gateway.core.tap import Tap
 from gateway.core.tcp_server import TcpServer
 from gateway.core.transport import Connector, TcpClient
 from gateway.core.udp import UdpClient
@@ -70,7 +71,9 @@ def connector(transport: Transport, host: str, port: int) -> Connector:
 
 
 @asynccontextmanager
-async def running(config: Config, clock: Clock | None = None) -> AsyncIterator[Gateway]:
+async def running(
+    config: Config, clock: Clock | None = None, *, tap_of: Callable[[RobotSettings], Tap | None] = lambda _: None
+) -> AsyncIterator[Gateway]:
     """Run the gateway for as long as the context lasts.
 
     The doors are open before the first link is tried, so that a subscriber sees every event.
@@ -78,13 +81,14 @@ async def running(config: Config, clock: Clock | None = None) -> AsyncIterator[G
     Args:
         config: What to run.
         clock: Tests give their own.
+        tap_of: Gives what is shown every byte of a robot's sessions.
 
     Raises:
         ListenError: The listener could not be opened.
     """
     clock = clock or SystemClock()
     bus = Bus(EventRing(config.server.event_ring), config.server.command_ring)
-    links = _links(config.robots, bus, clock)
+    links = _links(config.robots, bus, clock, tap_of)
     host, asked_port = config.server.address
     async with AsyncExitStack() as stack:
         cell = Cell(config.robots, bus)
@@ -115,11 +119,16 @@ async def run_until_signal(config: Config, ready: Callable[[Gateway], None] = la
                 return
 
 
-def _links(robots: Sequence[RobotSettings | BrokenRobot], bus: Bus, clock: Clock) -> list[Link]:
+def _links(
+    robots: Sequence[RobotSettings | BrokenRobot],
+    bus: Bus,
+    clock: Clock,
+    tap_of: Callable[[RobotSettings], Tap | None],
+) -> list[Link]:
     links = []
     for robot in robots:
         if isinstance(robot, BrokenRobot):
             announce_broken(robot, bus, clock)
         else:
-            links.append(Link(robot, connector_of(robot), bus, clock))
+            links.append(Link(robot, connector_of(robot), bus, clock, tap=tap_of(robot)))
     return links
