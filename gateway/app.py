@@ -7,6 +7,7 @@ import os
 import signal
 from collections.abc import AsyncIterator, Callable, Collection, Iterable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
+from functools import partial
 
 import anyio
 import anyio.to_thread
@@ -24,6 +25,7 @@ from gateway.core.clock import Clock, SystemClock
 from gateway.core.events import EventRing
 from gateway.core.links import Links
 from gateway.core.settings import BrokenRobot, RobotSettings
+from gateway.core.tap import Tap
 from gateway.core.tcp_server import TcpServer
 from gateway.core.transport import Connector, TcpClient
 from gateway.core.udp import UdpClient
@@ -201,9 +203,17 @@ def recorder_of(
     return Recorder(recorder_settings(config.recorder, env), bus, clock, understood)
 
 
+def _tapped(recorder: Recorder, robot: RobotSettings) -> Tap:
+    return recorder.tap(robot.name)
+
+
 @asynccontextmanager
 async def running(
-    config: Config, clock: Clock | None = None, env: Mapping[str, str] = os.environ
+    config: Config,
+    clock: Clock | None = None,
+    env: Mapping[str, str] = os.environ,
+    *,
+    tap_of: Callable[[RobotSettings], Tap | None] | None = None,
 ) -> AsyncIterator[Gateway]:
     """Run the gateway for as long as the context lasts.
 
@@ -213,6 +223,7 @@ async def running(
         config: What to run.
         clock: Tests give their own.
         env: The environment.
+        tap_of: Gives what is shown every byte of a robot's sessions, in the place of the recorder.
 
     Raises:
         ListenError: The listener could not be opened.
@@ -220,8 +231,11 @@ async def running(
     bus = Bus(EventRing(config.server.event_ring), config.server.command_ring)
     clock = clock or SystemClock()
     links: Links
-    recorder = recorder_of(config, bus, clock, lambda: tuple(links.robots.values()), env)
-    tap_of = None if recorder is None else lambda robot: recorder.tap(robot.name)
+    recorder = None
+    if tap_of is None:
+        recorder = recorder_of(config, bus, clock, lambda: tuple(links.robots.values()), env)
+    if recorder is not None:
+        tap_of = partial(_tapped, recorder)
     links = Links(config.robots, bus, clock, connector_of, tap_of=tap_of)
     cell = Cell(config.robots, bus, lambda: None if recorder is None else recorder.info)
     if recorder is not None:

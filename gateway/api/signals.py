@@ -28,7 +28,7 @@ class Signal:
             array. Not called where a source is not in the frame or not finite: the key is null then.
         partial: Whether `via` is called all the same, with None for such a source.
         options: Options of the robot that `via` takes as keyword arguments.
-        rotation: How the three angles of a `mm|deg` source turn; None leaves the orientation null.
+        rotation: How the last three numbers of a `mm|deg` source turn; None leaves the orientation null.
         quality: SUBSTITUTED for a commanded value that is shown as measured, UNCERTAIN for a reading not established.
         volatile: Whether the value always changes: it never makes a state topic publish by itself.
         doubt: Of a record: says, of what `via` takes, whether this value is UNCERTAIN; None: it never is.

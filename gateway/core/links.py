@@ -70,7 +70,7 @@ class Links:
         clock: Clock,
         connector_of: Callable[[RobotSettings], Connector],
         delays: Backoff = backoff,
-        tap_of: Callable[[RobotSettings], Tap] | None = None,
+        tap_of: Callable[[RobotSettings], Tap | None] | None = None,
     ) -> None:
         self._bus = bus
         self._tap_of = tap_of

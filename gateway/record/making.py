@@ -7,15 +7,15 @@ from pathlib import Path
 import msgspec
 
 from gateway.api.model import Event, Sample
-from gateway.config import parse
 from gateway.core.bus import Bus, Reading, Topic
 from gateway.core.events import EventRing
 from gateway.core.registry import Registry
 from gateway.core.settings import RobotSettings
-from gateway.errors import ConfigError, VendorError
+from gateway.errors import ConfigError
 from gateway.record.chunks import Block, Chunk, Silence
-from gateway.record.mcapfile import Mark, Writer
+from gateway.record.mcapfile import SET_BACK, Mark, Writer
 from gateway.record.replayer import Replayer
+from gateway.record.robots import robots_in
 from gateway.record.spool import Begin, End, Message, Raw, Said, SpoolError
 
 _SILENCE = msgspec.json.Decoder(Silence)
@@ -61,7 +61,8 @@ class Making:
         elif isinstance(message, Said):
             self._writer.said(message.topic, message.t, message.seq, message.data)
         elif isinstance(message, End):
-            self._writer.about({"to": str(message.to_t), **message.more})
+            set_back = {SET_BACK: "yes"} if any(maker.set_back for maker in self._makers.values()) else {}
+            self._writer.about({"to": str(message.to_t), **set_back, **message.more})
             self._writer.finish()
             self.finished = True
 
@@ -72,13 +73,13 @@ class Making:
         if not self._samples:
             return
         try:
-            config = parse(
-                begin.robots, "the recorded configuration", Registry([Path(one) for one in begin.vendor_dirs])
-            )
-        except (ConfigError, VendorError) as error:
-            self.notes.append(f"no samples are written, the recorded configuration cannot be used: {error}")
+            registry = Registry([Path(one) for one in begin.vendor_dirs])
+        except ConfigError as error:
+            self.notes.append(f"no samples are written: {error}")
             return
-        self._robots = {robot.name: robot for robot in config.robots if isinstance(robot, RobotSettings)}
+        found = robots_in(begin.robots, registry)
+        self._robots = found.usable
+        self.notes += [f"{name}: no samples are written: {reason}" for name, reason in found.left_out.items()]
 
     def _maker(self, robot: str, begin: Begin) -> _RobotMaking:
         found = self._makers.get(robot)
@@ -102,8 +103,10 @@ class _RobotMaking:
         self._from_t = from_t
         self._notes = notes
         self._index = 0
+        self._t = 0
         self._begun = False
         self._before: dict[str, Sample] = {}  # the states that stand when the recording begins
+        self.set_back = False  # the wall clock was: the order of its times is not that of its bytes
         self._replayer: Replayer | None = None
         if settings is not None:
             bus = Bus(EventRing(1), 1)
@@ -120,6 +123,8 @@ class _RobotMaking:
             if chunks[0].kind != "begin":
                 self._resume(block, chunks[0])
         for chunk in chunks:
+            self.set_back = self.set_back or chunk.t < self._t
+            self._t = chunk.t
             self._number(chunk)
             self._write(chunk)
             self._play(chunk)

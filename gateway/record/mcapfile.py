@@ -20,6 +20,7 @@ PROFILE = "robot-gateway"
 METADATA = "robot-gateway"
 ROBOTS = "gateway.toml"
 PART = ".part"
+SET_BACK = "set_back"  # key of the metadata: the clock was set back while it was recorded
 OCTETS = "octets"
 Way = Literal["received", "sent"]
 
@@ -60,7 +61,7 @@ class Writer:
         self.path = path
         self._part = path.with_name(path.name + PART)
         self._file: IO[bytes] = self._part.open("xb")
-        self._writer = McapWriter(self._file, compression=CompressionType.ZSTD)
+        self._writer = McapWriter(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(profile=PROFILE, library=PROFILE)
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}

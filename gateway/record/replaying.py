@@ -1,17 +1,20 @@
-"""Plays a recording through the decoders again, and compares what they say with what was recorded."""
+"""Plays a recording again: its bytes go through the decoders, and the rest is published as it was told."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import msgspec
 
-from gateway.api.decoder import Event
+from gateway.api.decoder import Event, Frame, Refused, Reject, Skipped
+from gateway.api.model import GROUPS, LinkState, Quality, Sample
 from gateway.api.model import Event as ModelEvent
-from gateway.api.model import Sample
-from gateway.core.bus import Bus, Reading, Topic
+from gateway.api.model import Link as LinkData
+from gateway.core.bus import Bus, ValueReading
+from gateway.core.events import EventRing
+from gateway.core.own_topic import OwnTopic
 from gateway.core.settings import RobotSettings
 from gateway.record.chunks import Chunk, Silence
 from gateway.record.mcapfile import Mark
@@ -19,7 +22,50 @@ from gateway.record.reading import Entry
 from gateway.record.replayer import Replayer
 
 _MARK = msgspec.json.Decoder(Mark)
-_JSON = msgspec.json.Encoder()
+_SAMPLE = msgspec.json.Decoder(Sample)
+_EVENT = msgspec.json.Decoder(ModelEvent)
+_OWN = ("link", "link_stats")  # topics that the gateway itself spoke on
+_NOT_TOLD = "the recording has not told yet"
+_OVER = "the recording ends here"
+
+
+@dataclass(slots=True)
+class Tally:
+    """What has been read of a robot.
+
+    Attributes:
+        n_received: Bytes received.
+        n_sent: Bytes sent.
+        sessions: Sessions that began, or were under way when the recording did.
+        frames: Good frames.
+        occurrences: Frames that tell what has happened.
+        skipped: Frames without state.
+        rejects: Rejects by reason.
+        events: Events by kind, as they were recorded.
+        problem: Why it is read no further; "": it is.
+    """
+
+    n_received: int = 0
+    n_sent: int = 0
+    sessions: int = 0
+    frames: int = 0
+    occurrences: int = 0
+    skipped: int = 0
+    rejects: Counter[str] = field(default_factory=Counter)
+    events: Counter[str] = field(default_factory=Counter)
+    problem: str = ""
+
+    def count(self, events: Sequence[Event]) -> None:
+        """Count what a decoder has made of some bytes."""
+        for event in events:
+            if isinstance(event, Frame):
+                self.frames += 1
+            elif isinstance(event, Reject):
+                self.rejects[event.reason] += 1
+            elif isinstance(event, Skipped):
+                self.skipped += 1
+            elif not isinstance(event, Refused):
+                self.occurrences += 1
 
 
 class RobotReplay:
@@ -34,12 +80,35 @@ class RobotReplay:
         self._replayer = Replayer(robot, bus, "replay")
         self._epoch = ""
         self._opening = False
+        self.tally = Tally()
+
+    def silent(self, quality: Quality, t: int, t_last: int | None) -> None:
+        """Say on every topic, at µs UTC, that no values come."""
+        self._replayer.publisher.silent(quality, t, t_last)
 
     def take(self, entry: Entry) -> Sequence[Event]:
-        """Take the next raw bytes or mark of the robot; what its decoder made of it."""
+        """Take the next raw bytes or mark of the robot; what its decoder made of it.
+
+        A plugin that fails costs what follows of this robot.
+        """
+        if self.tally.problem:
+            return ()
+        try:
+            events = self._take(entry)
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - it is a plugin that is judged here
+            self.tally.problem = f"its plugin failed: {error!r}"
+            return ()
+        self.tally.count(events)
+        return events
+
+    def _take(self, entry: Entry) -> Sequence[Event]:
         kind = entry.topic.rpartition("/")[2]
         if kind == "session":
             return self._mark(entry)
+        if kind == "received":
+            self.tally.n_received += len(entry.data)
+        else:
+            self.tally.n_sent += len(entry.data)
         chunk = Chunk(entry.t, "received" if kind == "received" else "sent", entry.data, self._epoch, None)
         return self._replayer.read(chunk) if self._opening else self._replayer.play(chunk)
 
@@ -47,6 +116,7 @@ class RobotReplay:
         mark = _MARK.decode(entry.data)
         self._epoch = mark.epoch
         self._opening = mark.kind == "opening"
+        self.tally.sessions += mark.kind in {"begin", "opening"}
         if mark.kind == "opening":
             self._replayer.open(mark.epoch)
         elif mark.kind == "resume":
@@ -61,128 +131,85 @@ class RobotReplay:
         return ()
 
 
-@dataclass(frozen=True, slots=True)
-class Change:
-    """One sample that is another one now.
+class Replay:
+    """A recorded cell on a bus of its own.
 
-    Attributes:
-        topic: Its topic.
-        t: Its time, µs UTC.
-        what: `missing`: recorded, and not told again; `added`: the other way round; else the path in it that differs.
-        before: As recorded.
-        after: As told now.
-    """
-
-    topic: str
-    t: int
-    what: str
-    before: object = None
-    after: object = None
-
-
-@dataclass(slots=True)
-class Differences:
-    """What a comparison has found.
-
-    Attributes:
-        same: How many samples are the same, by topic.
-        counts: How many changes there are, by topic and what changed.
-        first: The first change of each.
-    """
-
-    same: Counter[str] = field(default_factory=Counter)
-    counts: Counter[tuple[str, str]] = field(default_factory=Counter)
-    first: dict[tuple[str, str], Change] = field(default_factory=dict)
-
-    def add(self, change: Change) -> None:
-        """Count a change."""
-        key = (change.topic, change.what)
-        self.counts[key] += 1
-        self.first.setdefault(key, change)
-
-
-_Name = tuple[str, str, int]  # topic, epoch, seq
-
-
-class Comparison:
-    """Compares recorded samples with those that a replay publishes; a listener of its topics.
+    Bytes and marks go through the decoders of their robots, and what these say is published with `origin: replay`. What
+    does not follow from bytes (`link`, `link_stats`, events, commands) is published as it was told; samples that were
+    recorded are left out.
 
     Args:
-        topics: The topics that were recorded.
-        from_t: Samples were recorded from then on, µs UTC.
+        robots: The robots, by name; what the recording holds of others is left out.
+        begins_t: When it begins, µs UTC.
+
+    Attributes:
+        bus: Where they are published.
+        unreadable: How many messages another version of the gateway seems to have written.
     """
 
-    def __init__(self, topics: Collection[str], from_t: int) -> None:
-        self._topics = set(topics)
-        self._from_t = from_t
-        self._recorded: dict[_Name, bytes] = {}
-        self._replayed: dict[_Name, bytes] = {}
-        self._decode = msgspec.json.Decoder(_Envelope).decode
-        self.found = Differences()
+    def __init__(self, robots: Mapping[str, RobotSettings], begins_t: int) -> None:
+        self.bus = Bus(EventRing())
+        self.unreadable = 0
+        self._settings = robots
+        self._robots: dict[str, RobotReplay] = {}
+        for name, robot in robots.items():
+            own = Bus(EventRing(1), 1)  # edges that are found again are not told twice
+            self._robots[name] = RobotReplay(robot, own)
+            self.bus.topics.update(
+                {topic.name: topic for topic in own.topics.values() if topic.group.delivery != "event"}
+            )
+            self.bus.add(name, [*_OWN, "events", *(["commands"] if robot.protocol.commands else [])])
+        self._silence(begins_t, None, _NOT_TOLD)
 
-    def recorded(self, entry: Entry) -> None:
-        """Take a recorded sample."""
-        envelope = self._decode(entry.data)
-        if envelope.t < self._from_t:  # the state that stood when the recording began
-            return
-        self._meet(envelope, entry.data, self._recorded, self._replayed)
+    @property
+    def tallies(self) -> dict[str, Tally]:
+        """What has been read, by robot."""
+        return {name: replay.tally for name, replay in self._robots.items()}
 
-    def on_reading(self, topic: Topic, reading: Reading) -> None:
-        """Take a sample of the replay."""
-        if topic.name not in self._topics:
-            return
-        sample: Sample = reading.sample(topic)
-        if sample.t >= self._from_t:
-            data = _JSON.encode(sample)
-            self._meet(self._decode(data), data, self._replayed, self._recorded)
+    def take(self, entry: Entry) -> Sequence[Event]:
+        """Take the next message of the recording; what a decoder made of it."""
+        replay, group = self._robots.get(entry.robot), entry.group
+        if replay is None:
+            return ()
+        if group.startswith("raw/") or group == "session":
+            return replay.take(entry)
+        try:
+            if group in _OWN:
+                self._publish(entry)
+            elif group in GROUPS and GROUPS[group].delivery == "event":
+                self._raise(entry, replay.tally)
+        except msgspec.MsgspecError:
+            self.unreadable += 1
+        return ()
 
-    def on_event(self, topic: Topic, event: ModelEvent) -> None:
-        """Events are not compared: the replay names them anew."""
+    def end(self, t: int) -> None:
+        """Say on every topic, at µs UTC, that nothing more comes."""
+        self._silence(t, t, _OVER)
 
-    def finish(self) -> Differences:
-        """What was found; call it when everything was taken."""
-        for what, left in (("missing", self._recorded), ("added", self._replayed)):
-            for (topic, _, _), data in left.items():
-                sides = (data, None) if what == "missing" else (None, data)
-                before, after = (None if side is None else msgspec.json.decode(side).get("data") for side in sides)
-                self.found.add(Change(topic, self._decode(data).t, what, before, after))
-            left.clear()
-        return self.found
+    def _silence(self, t: int, t_last: int | None, reason: str) -> None:
+        for name, replay in self._robots.items():
+            replay.silent(Quality.DISCONNECTED, t, t_last)
+            robot = self._settings[name]
+            data = LinkData(
+                state=LinkState.DISCONNECTED,
+                reason=reason,
+                since=t,
+                protocol=robot.protocol.name,
+                peer=f"{robot.host}:{robot.port}",
+            )
+            OwnTopic(self.bus.topics[f"{name}/link"], self.bus, "replay").publish(data, t)
 
-    def _meet(self, envelope: _Envelope, data: bytes, own: dict[_Name, bytes], other: dict[_Name, bytes]) -> None:
-        name = (envelope.topic, envelope.epoch, envelope.seq)
-        found = other.pop(name, None)
-        if found is None:
-            own[name] = data
-            return
-        before, after = (found, data) if own is self._replayed else (data, found)
-        changes = list(_changes(_plain(before), _plain(after), ""))
-        if not changes:
-            self.found.same[envelope.topic] += 1
-        for path, old, new in changes:
-            self.found.add(Change(envelope.topic, envelope.t, path, old, new))
+    def _publish(self, entry: Entry) -> None:
+        """Publish what the gateway itself said."""
+        topic = self.bus.topics[entry.topic]
+        sample = _SAMPLE.decode(entry.data)
+        struct = topic.group.struct
+        data = sample.data if struct is None else msgspec.convert(sample.data, struct)
+        self.bus.publish(topic, ValueReading(msgspec.structs.replace(sample, data=data, origin="replay")))
 
-
-class _Envelope(msgspec.Struct):
-    """Of a sample, its name and time."""
-
-    topic: str
-    epoch: str
-    seq: int
-    t: int
-
-
-def _plain(data: bytes) -> dict[str, object]:
-    """A sample without where it comes from, which a replay changes on purpose."""
-    found: dict[str, object] = msgspec.json.decode(data)
-    found.pop("origin", None)
-    return found
-
-
-def _changes(before: object, after: object, path: str) -> Iterator[tuple[str, object, object]]:
-    """The leaves that differ, with their paths."""
-    if isinstance(before, dict) and isinstance(after, dict):
-        for key in dict.fromkeys([*before, *after]):
-            yield from _changes(before.get(key), after.get(key), f"{path}.{key}" if path else str(key))
-    elif before != after:
-        yield path, before, after
+    def _raise(self, entry: Entry, tally: Tally) -> None:
+        topic = self.bus.topics.get(entry.topic)
+        if topic is not None:
+            event = _EVENT.decode(entry.data)
+            tally.events[event.kind.value] += 1
+            self.bus.raise_event(topic, event.t, event.kind, event.before, event.after, event.raw)

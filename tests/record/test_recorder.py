@@ -14,7 +14,7 @@ from gateway.api.model import EventKind
 from gateway.record import dump as dump_module
 from gateway.record.settings import RecorderSettings
 from gateway.record.spool import Lost, Message, Outcome, Raw, Said, SpoolReader
-from tests.record.kit import running_recorder
+from tests.record.recorder_kit import running_recorder
 
 
 async def test_a_snapshot_has_what_was_before_it_and_after_it_of_all_robots(tmp_path: Path) -> None:
