@@ -12,7 +12,7 @@ DOCKER ?= docker
 .PHONY: help demo test check lint bench soak generated screenshots image deb fuzz clean
 
 help: ## Show the targets
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*##/\t/' | expand -t 10
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*##/\t/' | expand -t 13
 
 $(STAMP): pyproject.toml packaging/constraints.txt
 	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) is missing: apt-get install python3.11 python3.11-venv, or make PYTHON=python3"; exit 1; }
@@ -38,8 +38,12 @@ check: lint test ## What CI runs
 bench: $(STAMP) ## Measure; every figure with its ratio to a baseline of the same run
 	@$(BIN)/python -m tests.bench
 
-soak: $(STAMP) ## The acceptance runs at their full length
+soak: $(STAMP) ## The acceptance runs, SECONDS_OF_SOAK each; with MINUTES=60 the faults instead, for so long, with a report
+ifdef MINUTES
+	$(BIN)/python -m tests.faults --minutes $(MINUTES)
+else
 	SOAK_SECONDS=$(SECONDS_OF_SOAK) $(BIN)/pytest -m soak -s
+endif
 
 fuzz: $(STAMP) ## Fuzz each target for SECONDS, or only TARGETS="config foxglove": needs Python 3.11
 	@$(BIN)/python -c 'import atheris' 2>/dev/null || $(BIN)/pip install --quiet --disable-pip-version-check --constraint packaging/constraints.txt --editable '.[fuzz]'

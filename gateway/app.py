@@ -153,6 +153,8 @@ class Gateway:
                 plan = await self.reload(self._asked)
             except GatewayError as error:
                 _LOG.warning("reload.refused", reason=str(error))
+            except Exception:  # noqa: BLE001 - a mistake in a reload must not end the gateway
+                _LOG.exception("reload.failed")
             else:
                 done = [robot.name for robot in (*plan.added, *plan.changed, *plan.removed)]
                 _LOG.info("reload.applied", reason="a session has ended", robots=done)

@@ -90,7 +90,7 @@ class Notifier:
 
     def _say(self, *lines: str) -> None:
         if self._address is not None:
-            self._owed.append("\n".join(lines).encode())
+            self._owed.append("\n".join(lines).encode(errors="replace"))  # a reason may hold what is no UTF-8
             self._send_owed()
 
     def _send_owed(self) -> None:

@@ -71,7 +71,8 @@ def _entry(name: str, command: object) -> str:
     assert isinstance(command, TyperCommand | TyperGroup)
     entry = f".TP\n.B {_escaped(name)}\n{_escaped(_first_paragraph(command))}\n"
     if isinstance(command, TyperGroup):
-        below = ", ".join(rf"\fB{_escaped(one)}\fR" for one in command.commands)
+        with typer.Context(command) as context:  # some find theirs only when they are asked: one for each vendor
+            below = ", ".join(rf"\fB{_escaped(one)}\fR" for one in command.list_commands(context))
         entry += f"Subcommands: {below}.\n"
     return entry
 

@@ -67,6 +67,13 @@ def test_a_notifier_sends_one_datagram_a_message(tmp_path: Path, *, abstract: bo
     assert int(stamp) >= before_us
 
 
+def test_a_reason_that_is_no_text_is_told_all_the_same(tmp_path: Path) -> None:
+    address = str(tmp_path / "notify")
+    with receiver(address) as found:
+        Notifier(address).status("off: r1 (what a plugin said: \udcff)")
+        assert received(found) == ["STATUS=off: r1 (what a plugin said: ?)"]
+
+
 @pytest.mark.parametrize("env", [{}, {"NOTIFY_SOCKET": ""}, {"NOTIFY_SOCKET": "vsock:2:1234"}])
 def test_without_a_socket_nothing_is_sent_and_nothing_fails(env: dict[str, str]) -> None:
     notifier = Notifier.of_environment({**env, "WATCHDOG_USEC": "1000000"})

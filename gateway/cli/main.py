@@ -48,7 +48,7 @@ Examples:
   robot-gateway status                    which robot is on, and why not?
   robot-gateway tail r1/joints --rate 5
 
-Exit codes: 0 success, 1 failure, 2 wrong usage, 78 wrong configuration.
+Exit codes: 0 success, 1 failure, 2 wrong usage, 3 reload: a robot waits for its session, 78 wrong configuration.
 """
 
 

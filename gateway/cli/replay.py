@@ -29,6 +29,8 @@ from gateway.record.reading import said_of
 from gateway.record.replaying import Replay, Tally
 from gateway.server.cell import Cell
 from gateway.server.http import listening
+from gateway.server.listener import Listener
+from gateway.server.settings import door_settings
 
 _DEFAULT_LISTEN = "127.0.0.1:8765"
 _AT_ONCE = 200  # messages that are read before others may do something
@@ -192,14 +194,14 @@ def _serve(job: Job, listen: str, speed: float) -> None:
         fail_config(error)
     host, port = config.server.address
 
-    def doors(cell: Cell) -> AbstractAsyncContextManager[int]:
-        return listening(cell, host, port, config.server.flush_ms / 1000)
+    def doors(cell: Cell) -> AbstractAsyncContextManager[Listener]:
+        return listening(cell, host, port, door_settings(config))
 
     call(lambda: served_until_signal(job, host, doors, speed))
 
 
 async def served_until_signal(
-    job: Job, host: str, doors: Callable[[Cell], AbstractAsyncContextManager[int]], speed: float
+    job: Job, host: str, doors: Callable[[Cell], AbstractAsyncContextManager[Listener]], speed: float
 ) -> None:
     """Serve a recording until SIGINT or SIGTERM; see `served`."""
     async with anyio.create_task_group() as tasks:
@@ -210,22 +212,24 @@ async def served_until_signal(
                 return
 
 
-async def served(job: Job, host: str, doors: Callable[[Cell], AbstractAsyncContextManager[int]], speed: float) -> None:
+async def served(
+    job: Job, host: str, doors: Callable[[Cell], AbstractAsyncContextManager[Listener]], speed: float
+) -> None:
     """Open the doors on a recording and play it; they stay open when it is over.
 
     Args:
         job: What is replayed.
         host: Where the doors are.
-        doors: Opens them; gives the port.
+        doors: Opens them.
         speed: How many times as fast as it was; 0: at once.
     """
     replay = Replay(job.robots, job.recording.begins_t)
     entries = skip(job, replay, job.entries())
     first = next(entries, None)
-    async with doors(Cell(job.robots.values(), replay.bus)) as port:
+    async with doors(Cell(job.robots.values(), replay.bus)) as opened:
         shown = f"[{host}]" if ":" in host else host
         tell("replaying:", "green", f"{job.recording.path} of {said_of(job.recording)}")
-        tell("open:", "green", f"http://{shown}:{port}/ - end it with Ctrl-C")
+        tell("open:", "green", f"http://{shown}:{opened.port}/ - end it with Ctrl-C")
         if first is not None:
             replay.take(first)
         await play(job, replay, entries, speed)

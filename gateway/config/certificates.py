@@ -8,6 +8,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from gateway.config.reading import read_file
+from gateway.errors import ConfigError
+
 _LARGEST = 1024 * 1024  # bytes
 _FIRST = re.compile(r"-----BEGIN CERTIFICATE-----\s.*?-----END CERTIFICATE-----", re.DOTALL)
 _UTC_TIME, _CONTEXT_0 = 0x17, 0xA0  # tags of DER
@@ -71,14 +74,9 @@ def load_certificate(files: TlsFiles) -> Certificate:
 
 def _read(path: Path, what: str) -> str:
     try:
-        with path.open("rb") as file:
-            data = file.read(_LARGEST)
-    except FileNotFoundError:
-        raise CertificateError(f"{path}: does not exist; put the {what} there in PEM") from None
-    except PermissionError:
-        raise CertificateError(f"{path}: may not be read by this user; look at: ls -l {path}") from None
-    except OSError as error:
-        raise CertificateError(f"{path}: cannot be read: {error.strerror}") from None
+        data, _ = read_file(path, _LARGEST, absent=f"put the {what} there in PEM", kind=what)
+    except ConfigError as error:
+        raise CertificateError(error.problems[0]) from None
     return data.decode("ascii", "replace")
 
 

@@ -195,13 +195,13 @@ def _held_back(plan: Plan, before: Mapping[str, Keys], after: Mapping[str, Keys]
         for robot in robots
         if robot.name in holding
     ]
-    taken = {_address(before[one.name]): one.name for one in held}
-    held += [
-        _held(robot, what, _NEIGHBOUR.format(other=taken[_address(after[robot.name])]))
-        for what, robots in coming
-        for robot in robots
-        if robot.name not in holding and _address(after[robot.name]) in taken
-    ]
+    at = {_address(before[one.name]): one.name for one in held}
+    waiting = [(what, robot) for what, robots in coming for robot in robots if robot.name not in holding]
+    while late := [one for one in waiting if _address(after[one[1].name]) in at]:
+        # who waits stays where it is, and others may be about to take that place
+        waiting = [one for one in waiting if one not in late]
+        held += [_held(robot, what, _NEIGHBOUR.format(other=at[_address(after[robot.name])])) for what, robot in late]
+        at |= {_address(before[robot.name]): robot.name for what, robot in late if what == "changed"}
     names = {one.name for one in held}
     return msgspec.structs.replace(
         plan,

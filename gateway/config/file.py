@@ -18,6 +18,7 @@ from gateway.api.model import EventKind
 from gateway.config.certificates import CertificateError, TlsFiles, load_certificate
 from gateway.config.keys import SERVER_TABLES, TOP_KEYS, Recorder, Server, is_loopback
 from gateway.config.problems import Problems, fault_of, hint, quoted, read_fields, read_toml
+from gateway.config.reading import read_file
 from gateway.config.robots import Robots
 from gateway.config.tokens import Token, read_tokens, secret_file
 from gateway.core.registry import Registry
@@ -95,19 +96,8 @@ def load(path: Path, registry: Registry | None = None, env: Mapping[str, str] = 
     Raises:
         ConfigError: It cannot be read, or with everything that is wrong with it.
     """
-    try:
-        with path.open("rb") as file:
-            data = file.read(LARGEST + 1)
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: does not exist; name another file, or start from config/gateway.toml") from None
-    except IsADirectoryError:
-        raise ConfigError(f"{path}: is a folder; name the file in it") from None
-    except PermissionError:
-        raise ConfigError(f"{path}: may not be read by this user; look at: ls -l {path}") from None
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
-    if len(data) > LARGEST:
-        raise ConfigError(f"{path}: is larger than {LARGEST} bytes; that is no configuration")
+    absent = "name another file, or start from config/gateway.toml"
+    data, _ = read_file(path, LARGEST, absent=absent, kind="configuration")
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

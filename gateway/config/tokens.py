@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gateway.config.problems import Problems, hint
+from gateway.config.reading import read_file
 from gateway.config.toml_lines import lines
 from gateway.errors import ConfigError
 
@@ -88,22 +89,10 @@ def read_tokens(path: Path) -> tuple[Token, ...]:
 
 
 def _text(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            mode = os.fstat(file.fileno()).st_mode
-            data = file.read(LARGEST + 1)
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: does not exist; robot-gateway token makes tokens and such a file") from None
-    except IsADirectoryError:
-        raise ConfigError(f"{path}: is a folder; name the file in it") from None
-    except PermissionError:
-        raise ConfigError(f"{path}: may not be read by this user; look at: ls -l {path}") from None
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    absent = "robot-gateway token makes tokens and such a file"
+    data, mode = read_file(path, LARGEST, absent=absent, kind="file of tokens")
     if mode & (stat.S_IWGRP | stat.S_IWOTH):
         raise ConfigError(f"{path}: others may write to it, and so make themselves a token; run: chmod go-w {path}")
-    if len(data) > LARGEST:
-        raise ConfigError(f"{path}: is larger than {LARGEST} bytes; that is no file of tokens")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -15,6 +15,8 @@ from gateway.api.layout import Layout
 from gateway.api.model import CommandsMissed, EventKind, LinkState, Quality
 from gateway.api.model import Link as LinkData
 from gateway.api.normaliser import Normaliser
+from gateway.api.vendor import DecoderFactory
+from gateway.core.allowed import AllowedDecoder
 from gateway.core.backoff import REFUSED_S, Backoff, backoff
 from gateway.core.bus import Bus, Topic
 from gateway.core.clock import Clock, Timeline
@@ -89,7 +91,7 @@ class Link:
         self._own = {group: OwnTopic(topic, bus, robot.origin) for group, topic in topics.items()}
         self.groups = frozenset({*self._publisher.groups, *self._own})
         self._counters = LinkCounters(parts=robot.protocol.slowest_s is not None)
-        self._new_decoder = robot.protocol.decoders(robot.options, robot.rate_hz)
+        self._new_decoder: DecoderFactory | None = None
         self._decoder: Decoder | None = None
         self._layout: Table | None = None
         self._noted: list[str] = []
@@ -179,6 +181,10 @@ class Link:
     async def _connect_and_run(self) -> None:
         robot = self._robot
         self._decoder = None
+        if self._new_decoder is None:  # not before: a plugin that fails here costs its own link, not the start of all
+            self._new_decoder = robot.protocol.decoders(robot.options, robot.rate_hz)
+        # Before the controller is called: connecting and closing again, for a plugin that fails here, may stop a robot.
+        decoder = AllowedDecoder(self._new_decoder(), robot.vendor.name, robot.protocol.outgoing)
         connection = await self._connector.connect()
         self._in_session = True
         try:
@@ -188,7 +194,6 @@ class Link:
             self._enter(LinkState.HANDSHAKING, "connected, waiting for the first frame", layout=None, notes=[])
             self._counters.begin()
             self._first_frame = True
-            decoder = self._new_decoder()
             self._kept = KeptDecoder(decoder) if robot.protocol.on_stale == "keep" else None
             self._decoder = self._kept or decoder
             session = Session(

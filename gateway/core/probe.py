@@ -14,6 +14,7 @@ import msgspec
 
 from gateway.api.decoder import Decoder, Event, Frame, RefusedKind, Skipped
 from gateway.api.vendor import Protocol, Transport, Vendor
+from gateway.core.allowed import AllowedDecoder
 from gateway.core.clock import SystemClock
 from gateway.core.session import Session
 from gateway.core.transport import Connection, Connector
@@ -113,7 +114,8 @@ async def probe(
 async def _ask(question: Question, connector: Connector, timeout_s: float) -> Finding:
     """Connect, ask, and close again."""
     protocol = question.protocol
-    decoder = protocol.probe() if protocol.probe else protocol.decoder(question.options)
+    made = protocol.probe() if protocol.probe else protocol.decoder(question.options)
+    decoder = AllowedDecoder(made, question.vendor.name, protocol.outgoing)
     heard = _Heard(any_frame=protocol.probe is not None)
     try:
         connection = await connector.connect()

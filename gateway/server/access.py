@@ -157,6 +157,15 @@ def announced(request: web.Request) -> structlog.typing.FilteringBoundLogger:
     return log
 
 
+def parted(request: web.Request, log: structlog.typing.FilteringBoundLogger, reason: str | None = None) -> None:
+    """Say in the log who has left, and why; None: of its own will."""
+    more = {} if reason is None else {"reason": reason}
+    if caller_of(request).name is None:
+        log.debug("subscriber.disconnected", **more)
+    else:
+        log.info("subscriber.disconnected", **more)
+
+
 def cell_of(request: web.Request) -> Cell:
     """The cell as the caller may see it: every handler reads this one, and no other."""
     return request.app[ACCESS].view(request.app[CELL], caller_of(request))
@@ -205,7 +214,9 @@ async def allow_foreign(request: web.Request, response: web.StreamResponse) -> N
 
 
 def _check_host(request: web.Request, access: Access) -> None:
-    host = request.headers.get(hdrs.HOST, "")
+    host = request.headers.get(hdrs.HOST)
+    if host is None:  # HTTP/1.0, as health checks of proxies speak it: every browser names a host
+        return
     if not access.knows_host(host):
         what = f"Host {host[:_SHOWN]!r} is not known here"
         request.app[REFUSALS].add("host", request.remote, what)

@@ -168,22 +168,20 @@ class LimitedCell(Cell):
         super().__init__((), whole.bus)
         self._whole = whole
         self._globs = tuple(globs)
-        self._looked_at: dict[str, Topic] = {}  # the topics of the bus when these were found:
         self._visible: dict[str, Topic] = {}
+        # what there was when this was found
+        self._looked_at: tuple[Mapping[str, Topic], Mapping[str, Robot]] = {}, {}
 
     @property
     def robots(self) -> Mapping[str, Robot]:
         """The robots of which any topic may be seen."""
-        seen = {topic.robot for topic in self.topics.values()}
-        return {name: robot for name, robot in self._whole.robots.items() if name in seen}
+        self._look()
+        return self._robots
 
     @property
     def topics(self) -> Mapping[str, Topic]:
-        """The topics that may be seen; found anew when the bus has others."""
-        if self.bus.topics != self._looked_at:
-            self._looked_at = dict(self.bus.topics)
-            self._vendor_shapes.clear()
-            self._visible = {name: topic for name, topic in self._looked_at.items() if self._shows(name)}
+        """The topics that may be seen."""
+        self._look()
         return self._visible
 
     @property
@@ -195,6 +193,16 @@ class LimitedCell(Cell):
         """The topics that any of some globs names, and that may be seen."""
         visible = self.topics
         return [topic for topic in self.bus.match(patterns) if topic.name in visible]
+
+    def _look(self) -> None:
+        """Find anew what may be seen, when the bus has other topics or the configuration other robots."""
+        topics, robots = self._looked_at
+        if self.bus.topics == topics and self._whole.robots is robots:
+            return
+        self._looked_at = dict(self.bus.topics), self._whole.robots
+        self._visible = {name: topic for name, topic in self.bus.topics.items() if self._shows(name)}
+        seen = {topic.robot for topic in self._visible.values()}
+        self.replace(robot for name, robot in self._whole.robots.items() if name in seen)
 
     def _shows(self, name: str) -> bool:
         return any(fnmatchcase(name, glob) for glob in self._globs)

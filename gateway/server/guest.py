@@ -15,7 +15,7 @@ import structlog
 from aiohttp import WSCloseCode, WSMessage, WSMsgType, web
 
 from gateway.api.messages import MAX_MESSAGE_BYTES
-from gateway.server.access import ACCESS, REVOKED, Caller, announced, caller_of
+from gateway.server.access import ACCESS, REVOKED, Caller, announced, caller_of, parted
 from gateway.server.frames import Wire
 from gateway.server.limits import Quota
 
@@ -171,6 +171,6 @@ async def hosted(request: web.Request, guests: set[Guest], guest: Guest) -> Asyn
         guests.discard(guest)
         guest.leave()
         if guest.sent_away in {None, STOPPING}:
-            log.debug("subscriber.disconnected", reason=guest.sent_away or str(guest.close_code))
+            parted(request, log, guest.sent_away or str(guest.close_code))
         else:
             log.info("subscriber.sent_away", reason=guest.sent_away)

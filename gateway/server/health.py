@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
 from bisect import bisect_left
 from collections.abc import Callable, Iterator
@@ -18,6 +17,7 @@ from gateway.api.model import LinkState
 from gateway.server.access import cell_of
 from gateway.server.answers import Failure, answer, failure, parameters
 from gateway.server.cell import CELL
+from gateway.server.repeating import repeating
 
 BEAT_S = 0.1
 HUNG_S = 5.0
@@ -60,7 +60,6 @@ class Pulse:
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self._now = now
         self._due_s = now() + BEAT_S
-        self._timer: asyncio.TimerHandle | None = None
         self.counts = [0] * (len(LAG_BOUNDS_S) + 1)
         self.lag_sum = 0.0
 
@@ -80,19 +79,8 @@ class Pulse:
     def beating(self) -> Iterator[None]:
         """Beat on the running loop for as long as the context lasts."""
         self._due_s = self._now() + BEAT_S
-        self._wait()
-        try:
+        with repeating(BEAT_S, self.beat):
             yield
-        finally:
-            if self._timer is not None:
-                self._timer.cancel()
-
-    def _wait(self) -> None:
-        self._timer = asyncio.get_running_loop().call_later(BEAT_S, self._on_timer)
-
-    def _on_timer(self) -> None:
-        self.beat()
-        self._wait()
 
 
 PULSE = web.AppKey("pulse", Pulse)

@@ -229,11 +229,6 @@ class Scrapes:
 SCRAPES = web.AppKey("scrapes", Scrapes)
 
 
-def registry_of(cell: Cell, delivered: Delivered, pulse: Pulse) -> CollectorRegistry:
-    """A registry of one gateway's own."""
-    return Scrapes(delivered=delivered, pulse=pulse, refused={}).registry(cell)
-
-
 async def metrics(request: web.Request) -> web.Response:
     """The metrics, in the text format of Prometheus or in OpenMetrics; of robots those that the caller may see."""
     parameters(request)

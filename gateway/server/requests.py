@@ -115,10 +115,13 @@ class Requests:
         _check_names("topic", request.topics)
         found: set[Topic] = set()
         distinct = list(dict.fromkeys(request.topics))
+        before = set(self._cell.topics.values())
         for at in range(0, len(distinct), _GLOBS_A_TURN):
             found.update(self._cell.match(distinct[at : at + _GLOBS_A_TURN]))
             if at + _GLOBS_A_TURN < len(distinct):
                 await anyio.lowlevel.checkpoint()
+        if not before.issuperset(self._cell.topics.values()):  # some came meanwhile: the first globs have not seen them
+            found.update(self._cell.match(distinct))
         return self._answer_of(request, [topic for topic in self._cell.topics.values() if topic in found])
 
     def _answer_of(self, request: _OfTopics, topics: list[Topic]) -> messages.Result:

@@ -17,7 +17,7 @@ import structlog
 from aiohttp import hdrs, web
 
 from gateway.api.messages import Missed, Request, Subscribe
-from gateway.server.access import ACCESS, REVOKED, announced, caller_of, cell_of
+from gateway.server.access import ACCESS, REVOKED, announced, caller_of, cell_of, parted
 from gateway.server.answers import converted, parameters, splitted
 from gateway.server.bookmark import Bookmark
 from gateway.server.limits import PEERS, Quota
@@ -32,6 +32,8 @@ HEARTBEAT_S = 15.0
 # So often a stream that has nothing to say looks whether its client is still there.
 _WATCH_S = 1.0
 _RETRY_MS = 1000
+# A client that is told to go has so long to take what is being written, and as long for the farewell.
+_FAREWELL_S = 0.4
 _STOPPING = "the gateway is stopping"
 _HEADERS = {
     hdrs.CONTENT_TYPE: "text/event-stream",
@@ -110,6 +112,7 @@ class Stream:
         self._encoding = encoding
         self._stuck_s = request.app[PACE].stuck_s
         self._traffic = request.app[DOORS]["sse"]
+        self._writing = anyio.CancelScope()
         self._written_s = time.monotonic()
         self.caller = caller_of(request)
         self.ended: str | None = None
@@ -127,6 +130,8 @@ class Stream:
     def stop(self, why: str = _STOPPING) -> None:
         """End the stream: the gateway is going, or does not let this client in any longer."""
         self.ended = self._farewell = why
+        self._stuck_s = min(self._stuck_s, _FAREWELL_S)
+        self._writing.deadline = min(self._writing.deadline, anyio.current_time() + self._stuck_s)
         self._outbox.wake_by(time.monotonic())
 
     async def serve(self) -> None:
@@ -161,11 +166,11 @@ class Stream:
         """Write; a client that does not take it in time is cut off."""
         if not frames:
             return
-        with anyio.move_on_after(self._stuck_s) as scope:
+        with anyio.move_on_after(self._stuck_s) as self._writing:
             await self._response.write(frames)
         self._written_s = time.monotonic()
         self._traffic.n_bytes += len(frames)
-        if scope.cancelled_caught:
+        if self._writing.cancelled_caught:
             self._cut("too slow: nothing was read")
 
     def _cut(self, reason: str) -> None:
@@ -247,13 +252,13 @@ async def _serve(open_stream: Stream, request: web.Request) -> None:
     try:
         await open_stream.serve()
     except ConnectionError:
-        log.debug("subscriber.disconnected")
+        parted(request, log)
         return
     except Exception:
         log.exception("subscriber.failed")
         raise
     if open_stream.ended == _STOPPING:
-        log.debug("subscriber.disconnected", reason=open_stream.ended)
+        parted(request, log, open_stream.ended)
     else:
         log.info("subscriber.sent_away", reason=open_stream.ended)
 

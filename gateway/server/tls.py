@@ -6,7 +6,6 @@ seen that header would not let its user in any more when such a certificate is r
 
 from __future__ import annotations
 
-import asyncio
 import ssl
 import time
 from collections.abc import Callable, Iterator
@@ -17,6 +16,7 @@ import structlog
 from aiohttp import web
 
 from gateway.config.certificates import Certificate, CertificateError, TlsFiles, load_certificate
+from gateway.server.repeating import repeating
 
 _LOG = structlog.get_logger()
 LOOK_S = 60.0
@@ -45,7 +45,6 @@ class Tls:
         self._files: TlsFiles | None = None
         self._seen: _Seen = ()
         self._warned_s = 0.0
-        self._timer: asyncio.TimerHandle | None = None
         self._shown: ssl.SSLContext | None = None
         self.context: ssl.SSLContext | None = None
         self.expires: datetime | None = None
@@ -88,19 +87,8 @@ class Tls:
     @contextmanager
     def watching(self) -> Iterator[None]:
         """Look at the files every minute for as long as the context lasts."""
-        self._wait()
-        try:
+        with repeating(LOOK_S, self.look):
             yield
-        finally:
-            if self._timer is not None:
-                self._timer.cancel()
-
-    def _wait(self) -> None:
-        self._timer = asyncio.get_running_loop().call_later(LOOK_S, self._on_timer)
-
-    def _on_timer(self) -> None:
-        self._wait()
-        self.look()
 
     def _show(self, files: TlsFiles, seen: _Seen, loaded: Certificate) -> None:
         self._files, self._seen, self._shown, self.expires = files, seen, loaded.context, loaded.expires

@@ -46,7 +46,7 @@ async def test_it_takes_another_port_where_the_robots_port_is_taken() -> None:
     except OSError:
         taken = None  # somebody else listens there, which is as good
     try:
-        done = await command("demo", "--seconds", "1.5", "--listen", "127.0.0.1:0")
+        done = await command("demo", "--seconds", "4", "--listen", "127.0.0.1:0")
     finally:
         if taken is not None:
             taken.close()

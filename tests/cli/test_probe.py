@@ -120,7 +120,7 @@ class Asking(FramedDecoder):
 
 async def test_a_protocol_may_say_how_it_is_asked() -> None:
     async with listening(toy.OTHER) as (controller, port):
-        (finding,) = await ask([at(port, probe=Asking, request=None, rate_hz=None)])
+        (finding,) = await ask([at(port, probe=Asking, request=None, rate_hz=None, outgoing=(b"who",))])
     assert (finding.verdict, finding.reason) == (Verdict.SPEAKS, "it says hello")
     assert controller.heard == [b"who"]
 

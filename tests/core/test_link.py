@@ -6,14 +6,16 @@ from collections.abc import Awaitable, Callable
 from typing import cast
 
 import anyio
+import msgspec
 import pytest
 from structlog.testing import capture_logs
 
+from gateway.api.decoder import Decoder, Refused
 from gateway.api.decoder import Event as Decoded
-from gateway.api.decoder import Refused
 from gateway.api.framing import FramedDecoder
 from gateway.api.model import Command, Event, Joints, LinkStats, Sample, Status
 from gateway.api.model import Link as LinkData
+from gateway.api.vendor import DecoderFactory
 from gateway.core.backoff import no_waiting
 from gateway.core.bus import Bus, Reading, Topic
 from gateway.core.events import EventRing
@@ -245,6 +247,36 @@ def test_a_clock_set_back_by_hours_begins_a_new_epoch_without_a_new_connection()
         assert all(sample.q == "GOOD" for sample in joints)
 
     while_running(FakeConnector(FakeConnection(good)), look)
+
+
+def _cannot_begin(_: msgspec.Struct, __: float) -> DecoderFactory:
+    raise ZeroDivisionError("a plugin's mistake")
+
+
+def _cannot_begin_a_session(_: msgspec.Struct, __: float) -> DecoderFactory:
+    def fail() -> Decoder:
+        raise ZeroDivisionError("a plugin's mistake")
+
+    return fail
+
+
+@pytest.mark.parametrize("make", [_cannot_begin, _cannot_begin_a_session])
+def test_a_plugin_that_cannot_make_its_decoders_faults_its_link_and_opens_no_connection(
+    make: Callable[[msgspec.Struct, float], DecoderFactory],
+) -> None:
+    connector = FakeConnector(FakeConnection())
+    settings = toy.settings()
+    broken = dataclasses.replace(settings, protocol=dataclasses.replace(settings.protocol, make_decoders=make))
+
+    async def look(bus: Bus, _: Inbox, __: LoopClock) -> None:
+        with capture_logs() as logs:
+            await anyio.sleep(5)
+        assert link_of(bus).state == "FAULTED"
+        assert "a plugin's mistake" in (link_of(bus).reason or "")
+        assert [log["event"] for log in logs].count("link.faulted") == 1
+        assert not connector.attempts_s
+
+    while_running(connector, look, broken)
 
 
 def test_a_robot_whose_plugin_is_broken_is_shown_faulted_with_the_reason() -> None:

@@ -123,6 +123,7 @@ PROTOCOL = Protocol(
     make_reader=Answers,
     make_decoders=lambda _, rate_hz: lambda: Asking(WISHES, rate_hz),
     rate_hz=10.0,
+    outgoing=(rb"[a-z]+\n",),
     commands=True,
     slowest_s=lambda _, __: 1.0,
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import signal
 import socket
@@ -40,15 +41,14 @@ _LOST_S = 10.0
 _ADDRESS_IN_USE = 1
 
 
-def hosts(first: int) -> Callable[[], str]:
-    """Addresses of this machine that no other run uses."""
-    n_given = [first]
+def hosts(block: int) -> Callable[[], str]:
+    """Addresses of this machine that no other run uses.
 
-    def give() -> str:
-        n_given[0] += 1
-        return f"127.{20 + os.getpid() % 200}.{os.getpid() // 200 % 256}.{n_given[0]}"
-
-    return give
+    Args:
+        block: 0 to 255; stages that run at the same time have different ones.
+    """
+    numbers = itertools.count(1)
+    return lambda: f"127.{20 + os.getpid() % 200}.{block}.{next(numbers)}"
 
 
 def steady_robots(host: Callable[[], str]) -> list[Robot]:
@@ -134,7 +134,7 @@ async def killed(stage: CellStage, random: Random) -> Seen:
 
 async def rebooted(stage: CellStage, random: Random) -> Seen:
     """The controller is away for a while."""
-    return await _killed(stage, random, random.uniform(3.0, 6.0))
+    return await _killed(stage, random, random.uniform(2.0, 4.0))
 
 
 async def hung(stage: CellStage, random: Random) -> Seen:
@@ -166,22 +166,22 @@ async def _wrong(stage: CellStage, random: Random, mode: Mode, seconds: float, n
 
 async def dripped(stage: CellStage, random: Random) -> Seen:
     """Bytes come one by one."""
-    return await _wrong(stage, random, Mode.DRIP, 2.0, "frames as whole as ever, or stale where they come too late")
+    return await _wrong(stage, random, Mode.DRIP, 1.5, "frames as whole as ever, or stale where they come too late")
 
 
 async def junked(stage: CellStage, random: Random) -> Seen:
     """Random bytes stand between the frames."""
-    return await _wrong(stage, random, Mode.JUNK, 2.0, "rejects counted, the next whole frame is found")
+    return await _wrong(stage, random, Mode.JUNK, 1.5, "rejects counted, the next whole frame is found")
 
 
 async def halved(stage: CellStage, random: Random) -> Seen:
     """The second half of everything is missing."""
-    return await _wrong(stage, random, Mode.HALVES, 2.0, "rejects counted, stale, on again")
+    return await _wrong(stage, random, Mode.HALVES, 1.5, "rejects counted, stale, on again")
 
 
 async def stalled(stage: CellStage, random: Random) -> Seen:
     """Nothing gets through, and the connection stays open."""
-    return await _wrong(stage, random, Mode.FROZEN, 3.0, "stale, then on again")
+    return await _wrong(stage, random, Mode.FROZEN, 2.5, "stale, then on again")
 
 
 async def reset(stage: CellStage, random: Random) -> Seen:

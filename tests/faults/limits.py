@@ -55,7 +55,7 @@ class LimitsStage(Stage):
 @asynccontextmanager
 async def limits(folder: Path, prefix: tuple[str, ...] = (), log: Path | None = None) -> AsyncIterator[LimitsStage]:
     """Run the cell with limits."""
-    host = hosts(120)
+    host = hosts(120 if log is None else 121)
     steady = steady_robots(host)
     victims = [Robot(name=name, vendor="rainbow", protocol="reqdata", host=host()) for name in ("v1", "v2")]
     async with AsyncExitStack() as stack:
@@ -114,7 +114,7 @@ async def no_descriptors(stage: LimitsStage, random: Random) -> Seen:
     request = masked(_TEXT, subscribe(["*/joints"]))
     with crowd(stage.gateway.listen, _CLIENTS, request):
         await anyio.sleep(_HOLD_S)
-        n_fds = len(list(Path(f"/proc/{stage.gateway.pid}/fd").iterdir()))
+        n_fds = stage.gateway.usage_seen().fds
         recovery_s = await stage.restarted("v1")
     assert n_fds <= _FDS
     return Seen(recovery_s, f"{_CLIENTS} clients at a limit of {_FDS}: {n_fds} used; the robot reconnects all the same")

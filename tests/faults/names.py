@@ -31,7 +31,7 @@ _TYPE_A = 1
 _NO_ERROR, _NO_SUCH_NAME = 0x8180, 0x8183
 _TTL_S = 0
 _LOST_S = 10.0
-# A look-up that nobody answers takes resolv.conf's 1 s twice for each of both kinds of address, and then there is the back-off.
+# A look-up that nobody answers takes resolv.conf's 1 s twice for each kind of address; then there is the back-off.
 _BACK_S = BACK_S + 5.0
 
 

@@ -24,8 +24,13 @@ from tests.faults.tunlink import FAIR, TunLink, Weather, run, tunlink
 
 _BACK_S = 12.0
 _LOST_S = 20.0
-_WEATHER_S = 3.0
-_DROPPING = "table inet cut { chain input { type filter hook input priority 0; policy drop; }; chain output { type filter hook output priority 0; policy drop; }; }"
+_WEATHER_S = 2.0
+_DROPPING = (
+    "table inet cut {"
+    " chain input { type filter hook input priority 0; policy drop; };"
+    " chain output { type filter hook output priority 0; policy drop; };"
+    " }"
+)
 _VICTIMS = (("rainbow", "reqdata"), ("fairino", "cnde"), ("fairino", "legacy"), ("xcore", "objects"))
 
 
@@ -123,7 +128,10 @@ async def _bad_weather(weather: Weather, stage: NetStage, random: Random) -> See
         await anyio.sleep(weather.delay_s + weather.jitter_s)
     found = stage.link.counts - counts
     packets = found.pop("packets", 0)
-    return Seen(recovery_s, f"of {packets} packets " + ", ".join(f"{count} {name}" for name, count in found.items()))
+    return Seen(
+        recovery_s,
+        f"of {packets} packets " + (", ".join(f"{count} {name}" for name, count in found.items()) or "none lost"),
+    )
 
 
 async def cut(stage: NetStage, random: Random) -> Seen:

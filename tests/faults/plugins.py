@@ -24,7 +24,7 @@ from tests.faults.relay import listening
 from tests.faults.report import Seen
 from tests.faults.robots import Controllers, configured
 
-_FOLDER = Path(__file__).parent / "plugins"
+_FOLDER = Path(__file__).parent / "bad_plugins"
 _PERIOD_S = 0.02
 _FRAME = struct.pack("<BHBffI", 0x24, 12, 3, 1.0, 2.0, 7)
 # Refused and faulted links are tried again every 10 s.

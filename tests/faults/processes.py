@@ -81,6 +81,11 @@ def _kept_open(out: IO[bytes]) -> Iterator[IO[bytes]]:
     yield out
 
 
+def text_of(log: Path) -> str:
+    """What was logged."""
+    return log.read_text("utf-8", "replace") if log.exists() else ""
+
+
 async def said(log: Path, text: str, process: subprocess.Popen[bytes], within_s: float = START_S) -> str:
     """Wait until a process has said a line with some text; return the line.
 
@@ -89,19 +94,19 @@ async def said(log: Path, text: str, process: subprocess.Popen[bytes], within_s:
     """
     with anyio.move_on_after(within_s):
         while True:
-            lines = log.read_text("utf-8", "replace").splitlines() if log.exists() else []
+            lines = text_of(log).splitlines()
             found = next((line for line in lines if text in line), None)
             if found is not None:
                 return found
-            assert process.poll() is None, f"ended with {process.returncode}:\n{log.read_text('utf-8', 'replace')}"
+            assert process.poll() is None, f"ended with {process.returncode}:\n{text_of(log)}"
             await anyio.sleep(_POLL_S)
-    raise AssertionError(f"{text!r} is not said within {within_s:g} s:\n{log.read_text('utf-8', 'replace')}")
+    raise AssertionError(f"{text!r} is not said within {within_s:g} s:\n{text_of(log)}")
 
 
 async def ended(process: subprocess.Popen[bytes], within_s: float) -> int | None:
     """Wait for the end of a process; its exit code, None where it still runs."""
     with anyio.move_on_after(within_s):
-        while process.poll() is None:
+        while process.poll() is None:  # noqa: ASYNC110 - a process sets no event
             await anyio.sleep(0.005)
     return process.poll()
 
@@ -150,11 +155,15 @@ class GatewayProcess:
         """What it has of the machine now, without what asking it takes."""
         (tasks,) = await self.metrics("robot_gateway_tasks ")
         await anyio.sleep(_POLL_S)  # the connection that asked is closed meanwhile
+        return self.usage_seen(int(tasks))
+
+    def usage_seen(self, tasks: int = 0) -> Usage:
+        """What can be seen of it from outside, without asking it anything."""
         proc = Path(f"/proc/{self.pid}")
         links = [_target(link) for link in proc.joinpath("fd").iterdir()]
         status = dict(line.split(":", 1) for line in proc.joinpath("status").read_text().splitlines())
         return Usage(
-            tasks=int(tasks),
+            tasks=tasks,
             fds=len(links),
             sockets=sum(link.startswith("socket:") for link in links),
             threads=int(status["Threads"]),

@@ -80,18 +80,23 @@ class Relay:
                 self._streams |= {stream, upstream}
                 try:
                     async with anyio.create_task_group() as tasks:
-                        tasks.start_soon(self._forward, stream, upstream, False)
-                        await self._forward(upstream, stream, True)
+                        tasks.start_soon(self._forward, stream, upstream)
+                        await self._forward(upstream, stream, self._do_wrong)
                         tasks.cancel_scope.cancel()
                 finally:
                     self._streams -= {stream, upstream}
 
-    async def _forward(self, one: SocketStream, other: SocketStream, wrong: bool) -> None:  # noqa: FBT001 - for start_soon
+    async def _forward(
+        self,
+        one: SocketStream,
+        other: SocketStream,
+        send: Callable[[SocketStream, bytes], Awaitable[None]] | None = None,
+    ) -> None:
         with contextlib.suppress(anyio.BrokenResourceError, anyio.ClosedResourceError, OSError):
             async for data in one:
                 while self._mode is Mode.FROZEN:
                     await self._thawed.wait()
-                await (self._do_wrong(other, data) if wrong else other.send(data))
+                await (other.send(data) if send is None else send(other, data))
         for stream in (one, other):
             await anyio.aclose_forcefully(stream)
 

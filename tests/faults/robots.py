@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
+from functools import cache
 from pathlib import Path
 from subprocess import Popen
 from typing import cast
@@ -81,7 +82,9 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
         return "\n[[robots]]\n" + "".join(f"{key} = {toml_value(value)}\n" for key, value in entry.items())
 
 
-def configured(robots: Sequence[Robot], more: str = "", listen: str = "127.0.0.1:0", top: str = "") -> str:
+def configured(
+    robots: Sequence[Robot], more: str = "", listen: str = "127.0.0.1:0", top: str = "", server: str = ""
+) -> str:
     """The configuration of a gateway that reads some robots.
 
     Args:
@@ -89,8 +92,9 @@ def configured(robots: Sequence[Robot], more: str = "", listen: str = "127.0.0.1
         more: Further entries.
         listen: Where its doors are.
         top: What stands before all tables.
+        server: Further lines of the server's table.
     """
-    return top + f'[server]\nlisten = "{listen}"\n' + "".join(robot.entry for robot in robots) + more
+    return top + f'[server]\nlisten = "{listen}"\n{server}' + "".join(robot.entry for robot in robots) + more
 
 
 class Controllers:
@@ -141,6 +145,7 @@ async def serving(robots: Sequence[Robot], folder: Path, prefix: Sequence[str] =
         await controllers.kill()
 
 
+@cache  # finding plugins takes its time
 def _simulator(vendor: str) -> Simulator:
     return cast("Simulator", Registry().simulator(vendor))
 

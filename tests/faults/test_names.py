@@ -1,13 +1,8 @@
 from __future__ import annotations
 
-import random
 import struct
-from pathlib import Path
 
-import pytest
-
-from tests.faults.names import NAMES, Answer, NameServer, why_not
-from tests.faults.report import Report
+from tests.faults.names import Answer, NameServer
 
 QUESTION = struct.pack("!HHHHHH", 7, 0x0100, 1, 0, 0, 0) + b"\x05cell7\x04test\0" + struct.pack("!HH", 1, 1)
 
@@ -23,13 +18,3 @@ def test_the_name_service_answers_with_the_address_or_denies_it() -> None:
     denied = server.answered(QUESTION)
     assert denied[3] & 0x0F == 3
     assert struct.unpack_from("!H", denied, 6) == (0,)
-
-
-@pytest.mark.limit(90)
-async def test_a_name_service_that_fails_harms_only_those_known_by_name(tmp_path: Path) -> None:
-    if reason := why_not():
-        pytest.skip(reason)
-    report = Report()
-    await NAMES.run(tmp_path, random.Random(1), report)
-    print("\n" + report.text())
-    assert not report.broken

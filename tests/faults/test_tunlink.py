@@ -3,11 +3,11 @@ from __future__ import annotations
 import os
 import socket
 from collections import Counter
-from random import Random
 
 import anyio
 import pytest
 
+from tests.faults.kit import seeded
 from tests.faults.tunlink import FAIR, TunLink, Weather
 
 PACKET = bytes(range(64))
@@ -15,7 +15,7 @@ N = 2000
 
 
 def shares(weather: Weather) -> tuple[list[list[tuple[float, bytes]]], Counter[str]]:
-    random, counts = Random(5), Counter[str]()
+    random, counts = seeded(5), Counter[str]()
     return [weather.deliveries(PACKET, random, counts) for _ in range(N)], counts
 
 
@@ -67,7 +67,7 @@ def test_delays_lie_within_the_jitter_and_are_never_negative() -> None:
 async def test_packets_are_carried_both_ways_and_none_through_a_cut() -> None:
     pairs = [socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM) for _ in range(2)]
     for each in (one for pair in pairs for one in pair):
-        each.setblocking(False)
+        each.settimeout(0)
     (one, end_one), (other, end_other) = pairs
     link = TunLink(end_one.fileno(), end_other.fileno())
     link.start()

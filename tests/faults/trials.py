@@ -17,6 +17,7 @@ import anyio
 
 from tests.end_to_end.load_faults import masked, subscribe
 from tests.faults.cell import hosts, port_given_back, steady_robots, taken
+from tests.faults.kit import made
 from tests.faults.limits import crowd
 from tests.faults.processes import GATEWAY, ended, gateway, said, spawned
 from tests.faults.report import Report, Seen
@@ -37,18 +38,18 @@ class Trial:
 
     Attributes:
         name: For the report.
-        run: Makes it happen and tells what was seen; how many times in the short form is its own choice.
+        strike: Makes it happen and tells what was seen; how many times in the short form is its own choice.
     """
 
     name: str
-    run: Callable[[Path, Random], Awaitable[Seen]]
+    strike: Callable[[Path, Random], Awaitable[Seen]]
 
-    async def prove(self, folder: Path, random: Random, report: Report) -> None:
-        """Let it happen once; fills the report."""
-        folder.mkdir(parents=True, exist_ok=True)
+    async def run(self, folder: Path, random: Random, report: Report, long_s: float = 0.0) -> None:  # noqa: ARG002 - a series'
+        """Let it happen once, however long there would be; fills the report."""
+        made(folder)
         row = report.row("gateway", self.name)
         try:
-            row.add(await self.run(folder, random))
+            row.add(await self.strike(folder, random))
         except (AssertionError, OSError, TimeoutError) as error:
             row.times += 1
             row.broken.append(f"{type(error).__name__}: {error}")
@@ -111,12 +112,12 @@ def _judge_end(number: int, code: int | None, took_s: float, log: Path) -> None:
 
 async def terminated(folder: Path, random: Random) -> Seen:
     """SIGTERM at random moments, with clients that do not read."""
-    return await _struck(folder, random, signal.SIGTERM, 4)
+    return await _struck(folder, random, signal.SIGTERM, 3)
 
 
 async def killed(folder: Path, random: Random) -> Seen:
     """SIGKILL at random moments: it comes up again as if nothing had been."""
-    return await _struck(folder, random, signal.SIGKILL, 3)
+    return await _struck(folder, random, signal.SIGKILL, 2)
 
 
 async def early_signal(folder: Path, random: Random) -> Seen:
@@ -180,19 +181,22 @@ async def log_closed(folder: Path, random: Random) -> Seen:
     config = folder / "gateway.toml"
     config.write_text(configured(robots), "utf-8")
     reader, writer = os.pipe()
-    with os.fdopen(reader, "rb") as log, os.fdopen(writer, "wb") as out:
-        with spawned([*GATEWAY, "run", "--config", str(config)], out) as process:
-            out.close()
-            listen = await _started(process, log)
-            log.close()
-            async with serving(robots, folder):
-                back_s = await _all_alive(f"ws://{listen}/ws", robots)
-            await anyio.sleep(1.5)  # the loss of every robot was to be logged
-            assert process.poll() is None, f"ended with {process.returncode}"
-            async with serving(robots, folder):
-                back_s = await _all_alive(f"ws://{listen}/ws", robots)
-            process.send_signal(signal.SIGTERM)
-            code = await ended(process, _END_S)
+    with (
+        os.fdopen(reader, "rb") as log,
+        os.fdopen(writer, "wb") as out,
+        spawned([*GATEWAY, "run", "--config", str(config)], out) as process,
+    ):
+        out.close()
+        listen = await _started(process, log)
+        log.close()
+        async with serving(robots, folder):
+            back_s = await _all_alive(f"ws://{listen}/ws", robots)
+        await anyio.sleep(1.5)  # the loss of every robot was to be logged
+        assert process.poll() is None, f"ended with {process.returncode}"
+        async with serving(robots, folder):
+            back_s = await _all_alive(f"ws://{listen}/ws", robots)
+        process.send_signal(signal.SIGTERM)
+        code = await ended(process, _END_S)
     assert code == 0, f"exit code {code}"
     return Seen(back_s, "goes on without a log; SIGTERM ends it with exit 0")
 

@@ -160,7 +160,7 @@ async def tunlink(namespace: str, name: str, here: str, there: str, seed: int = 
             command = ["ip", *(("-n", where) if where else ())]
             run(*command, "addr", "add", address, "dev", name)
             run(*command, "link", "set", name, "up")
-        link = TunLink(*fds, seed)
+        link = TunLink(fds[0], fds[1], seed)
         link.start()
         try:
             yield link

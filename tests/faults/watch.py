@@ -147,7 +147,7 @@ class Watch:
     async def until(self, holds: Callable[[], bool], within_s: float, what: str) -> None:
         """Wait for something; fail where it takes too long."""
         with anyio.move_on_after(within_s):
-            while not holds():
+            while not holds():  # noqa: ASYNC110 - what comes is many things
                 await anyio.sleep(_POLL_S)
             return
         raise AssertionError(f"{what} did not come within {within_s:g} s")

@@ -44,7 +44,11 @@ def document(vendor: str, kind: DocumentType) -> Target:
 
 def _config(registry: Registry, data: bytes) -> None:
     try:
-        found = parse(data.decode("utf-8-sig", "surrogateescape"), "fuzz.toml", registry)
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return  # `load` says so, and reads no further
+    try:
+        found = parse(text, "fuzz.toml", registry)
     except ConfigError as error:
         if not str(error):
             raise AssertionError("an error without words") from error

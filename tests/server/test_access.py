@@ -18,7 +18,7 @@ from gateway.server.foxglove import SUBPROTOCOLS
 from gateway.server.http import _ROUTES
 from gateway.server.refusals import MOST_KINDS, Refusals
 from gateway.server.settings import AccessSettings, DoorSettings
-from tests.server.kit import Now, cell, publish
+from tests.server.kit import Now, cell, publish, running_door
 from tests.server.tokens import ALL, PLENTY, R1, TOKENS, WRONG, bearer, browsing, doors, guarded, token
 
 PUBLIC = ["/", "/healthz", "/readyz", *(f"/{name}" for name in pages.load())]
@@ -322,3 +322,10 @@ async def test_everybody_is_let_in_where_it_is_said_out_loud_and_the_log_repeats
             async with browser.websocket() as socket:
                 assert (await socket.receive_json())["access"] == "insecure"
     assert [line["event"] for line in logs if line["log_level"] == "warning"] == ["doors.insecure"]
+
+
+async def test_a_health_check_that_speaks_http_1_0_and_names_no_host_is_answered() -> None:
+    bus, robots = cell("r1")
+    async with running_door(bus, robots) as url, await anyio.connect_tcp("127.0.0.1", URL(url).port or 0) as stream:
+        await stream.send(b"GET /healthz HTTP/1.0\r\n\r\n")
+        assert (await stream.receive()).split(b"\r\n")[0].endswith(b" 200 OK")

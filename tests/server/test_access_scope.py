@@ -194,3 +194,17 @@ async def test_a_token_for_everything_reads_everything() -> None:
             assert (welcome["robots"], welcome["access"]) == (["r1"], "tokens")
             await socket.close()
             assert socket.close_code == aiohttp.WSCloseCode.OK
+
+
+async def test_a_scope_follows_the_robots_that_come_and_go() -> None:
+    bus, robots = cell("r1", HIDDEN)
+    whole = Cell(robots, bus)
+    seen = whole.limited(["r*/joints"])
+    assert (list(seen.robots), list(seen.topics)) == (["r1"], ["r1/joints"])
+    _, others = cell("r2")
+    bus.add("r2", ["joints", "link"])
+    assert list(seen.topics) == ["r1/joints", "r2/joints"]
+    whole.replace([*robots, others[0]])
+    assert list(seen.robots) == ["r1", "r2"]
+    bus.remove(bus.of("r1"))
+    assert list(seen.topics) == ["r2/joints"]

@@ -6,7 +6,6 @@ back and the close. The tool is kosoku, which runs Autobahn's own case files.
 
 from __future__ import annotations
 
-import os
 import sys
 from collections import Counter
 from collections.abc import AsyncIterator
@@ -126,18 +125,19 @@ async def test_no_case_of_the_protocol_fails(tmp_path: Path) -> None:
     excluded = [argument for case in (_LONG, *_COMPRESSED) for argument in ("-x", case)]
     results = await reported(tmp_path, *excluded)
     assert wrong(results) == {}
-    print(dict(counted(results)))
     assert "UNIMPLEMENTED" not in counted(results)
     assert len(results) >= 240
 
 
-@pytest.mark.soak
-@pytest.mark.limit(900)
-async def test_compressed_and_long_messages_are_refused_as_the_protocol_says(tmp_path: Path) -> None:
-    if "SOAK_SECONDS" not in os.environ:
-        pytest.skip("the long form runs by make soak")
-    compressed = await reported(tmp_path / "compressed", *[part for case in _COMPRESSED for part in ("-i", case)])
-    assert set(counted(compressed)) == {"UNIMPLEMENTED"}
-    long = await reported(tmp_path / "long", "-i", _LONG)
-    print(f"long messages: {dict(counted(long))}; not passed: {sorted(wrong(long))}")
-    assert {result.remote_close_code for result in wrong(long).values()} <= {1009}
+@pytest.mark.limit(60)
+async def test_compression_is_not_taken_up(tmp_path: Path) -> None:
+    results = await reported(tmp_path, *[argument for case in _COMPRESSED for argument in ("-i", case)])
+    assert set(counted(results)) == {"UNIMPLEMENTED"}
+    assert len(results) >= 210
+
+
+@pytest.mark.limit(60)
+async def test_of_the_long_messages_those_over_our_limit_end_with_1009(tmp_path: Path) -> None:
+    results = await reported(tmp_path, "-i", _LONG)
+    assert {case.remote_close_code for case in wrong(results).values()} == {1009}
+    assert counted(results)["OK"] >= 16

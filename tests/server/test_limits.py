@@ -25,6 +25,8 @@ from hypothesis import strategies as st
 from gateway.config.file import parse
 from gateway.config.keys import PeerLimits
 from gateway.server.accepting import accepting, bounded
+from gateway.server.cell import Cell
+from gateway.server.http import listening
 from gateway.server.limits import BURST_S, PEERS, RESERVED, RESERVED_PER_ROBOT, Bucket, Lease, Peers, Quota, name_of
 from gateway.server.refusals import REFUSALS, Refusals
 from gateway.server.settings import DoorSettings, Limits, door_settings
@@ -260,6 +262,19 @@ async def test_who_asks_too_often_is_told_when_to_come_again() -> None:
         with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
             await session.ws_connect(url)
         assert refused.value.status == 429
+
+
+async def test_a_reload_changes_the_limits_of_who_is_connected() -> None:
+    bus, robots = kit.cell()
+    async with (
+        listening(Cell(robots, bus), "127.0.0.1", 0, DoorSettings()) as listener,
+        kit.talking(f"ws://127.0.0.1:{listener.port}/ws") as talk,
+    ):
+        assert (await talk.ask("subscribe", id="a", topics=["r1/joints"]))["op"] == "result"
+        await listener.apply(DoorSettings(limits=Limits(subscriptions=1)), "127.0.0.1", 0)
+        assert (await talk.ask("subscribe", id="b", topics=["r1/joints"]))["op"] == "error"
+        await listener.apply(DoorSettings(), "127.0.0.1", 0)
+        assert (await talk.ask("subscribe", id="b", topics=["r1/joints"]))["op"] == "result"
 
 
 async def test_subscriptions_of_two_clients_are_counted_together_and_given_back() -> None:

@@ -9,14 +9,14 @@ from pathlib import Path
 import aiohttp
 import anyio
 import pytest
-from prometheus_client import Metric
+from prometheus_client import CollectorRegistry, Metric
 from prometheus_client.parser import text_string_to_metric_families
 
 from gateway.api.model import Link, LinkState, LinkStats
 from gateway.core.bus import Bus
 from gateway.server.cell import Cell
 from gateway.server.health import Pulse
-from gateway.server.metrics import MOST_REASONS, OTHER_REASONS, registry_of
+from gateway.server.metrics import MOST_REASONS, OTHER_REASONS, Scrapes
 from gateway.server.traffic import Traffic
 from tests.server.kit import Now, Robot, T, cell, publish, raise_event, running_door, talking
 
@@ -137,14 +137,18 @@ async def test_the_lag_of_the_loop_is_a_histogram() -> None:
     assert found["sum"] == pytest.approx(9.3)
 
 
+def registry_of(bus: Bus, robots: list[Robot], pulse: Pulse | None = None) -> CollectorRegistry:
+    scrapes = Scrapes(delivered=lambda: {"sse": Traffic()}, pulse=pulse or Pulse(), refused={})
+    return scrapes.registry(Cell(robots, bus))
+
+
 def collected(bus: Bus, robots: list[Robot], pulse: Pulse | None = None) -> list[Metric]:
-    registry = registry_of(Cell(robots, bus), lambda: {"sse": Traffic()}, pulse or Pulse())
-    return list(registry.collect())
+    return list(registry_of(bus, robots, pulse).collect())
 
 
 def test_a_plugin_that_invents_reasons_gets_a_bounded_number_of_series_that_never_fall() -> None:
     bus, robots = cell("r1")
-    registry = registry_of(Cell(robots, bus), lambda: {"sse": Traffic()}, Pulse())
+    registry = registry_of(bus, robots)
     seen: dict[str, float] = {}
     for round_ in range(1, 4):
         reasons = {f"reason {number}": round_ for number in range(20 * round_)}
@@ -166,7 +170,7 @@ def test_the_number_of_series_is_what_the_page_says() -> None:
         stats = LinkStats(rejects=rejects, gaps=1, age=1.0, decode_time=1.0, clock_offset=1.0)
         publish(bus, f"{robot.name}/link_stats", 1, stats)
     traffic = {door: Traffic() for door in ("native", "foxglove", "sse")}
-    registry = registry_of(Cell(robots, bus), lambda: traffic, Pulse())
+    registry = Scrapes(delivered=lambda: traffic, pulse=Pulse(), refused={}).registry(Cell(robots, bus))
     assert sum(len(family.samples) for family in registry.collect()) == 16 * 43 + 28
 
 

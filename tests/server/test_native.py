@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import time
 import tracemalloc
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
@@ -21,7 +22,10 @@ from gateway.api import messages
 from gateway.api.messages import JSON_SUBPROTOCOL, MSGPACK_SUBPROTOCOL
 from gateway.api.model import EventKind, Joints, Link, LinkState, Quality, Sample
 from gateway.core.bus import Bus, Topic
-from gateway.server.outbox import QUEUED_EVENTS
+from gateway.server.cell import Cell
+from gateway.server.outbox import QUEUED_EVENTS, Outbox
+from gateway.server.requests import Requests
+from gateway.server.wire import JSON
 from tests.server.kit import (
     BOOT,
     CountingReading,
@@ -767,3 +771,17 @@ async def test_a_flood_of_command_objects_pushes_no_edge_out_of_its_ring() -> No
         assert read_back(await talk.ask("events", since=f"{BOOT}:0", topics=["*/events"])) == ([f"{BOOT}:1"], 0)
         names, missed = read_back(await talk.ask("events", since=f"{BOOT}:0"))
         assert (len(names), missed) == (11, 990)
+
+
+async def test_a_topic_that_comes_while_a_long_request_is_answered_is_found_by_its_first_globs_too() -> None:
+    bus, robots = cell("r1")
+    requests = Requests(Cell(robots, bus), JSON, Outbox(JSON, 0.0, time.monotonic))
+    globs = ["*/status", *(f"absent{number}/status" for number in range(40))]
+
+    async def add() -> None:
+        bus.add("r2", ["status"])
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(add)
+        result = await requests.answer_in_turns(messages.Subscribe(id=1, topics=globs))
+    assert result.topics == ["r1/status", "r2/status"]
