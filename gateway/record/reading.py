@@ -21,6 +21,7 @@ from gateway.record.salvage import DAMAGE, LARGEST_RECORD, MAGIC, Salvaged, salv
 
 _FOOTER = 1 + 8 + 8 + 8 + 4  # bytes; the last four are the checksum of the summary
 _DATA_END = 1 + 8 + 4  # bytes; the last four are the checksum of the data
+_DATA_END_HEAD = bytes([Opcode.DATA_END]) + (4).to_bytes(8, "little")
 _PIECE = 1 << 20
 _LISTED = 6
 
@@ -215,9 +216,8 @@ def _is_sound(file: IO[bytes]) -> bool:
     data_end = file.read(_DATA_END)
     summary = file.read(end - summary_at - 4)
     told = int.from_bytes(data_end[-4:], "little")
-    return (
-        not left and data_end[0] == Opcode.DATA_END and told == checksum and zlib.crc32(summary) == footer.summary_crc
-    )
+    whole = not left and data_end.startswith(_DATA_END_HEAD)
+    return whole and told == checksum and zlib.crc32(summary) == footer.summary_crc
 
 
 def _part(path: Path, file: IO[bytes]) -> Recording:

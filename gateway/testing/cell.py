@@ -63,7 +63,7 @@ async def virtual_cell(
     recorder: Mapping[str, object] | None = None,
     simulated: msgspec.Struct | None = None,
     registry: Registry | None = None,
-    tap_of: Callable[[RobotSettings], Tap | None] = lambda _: None,
+    tap_of: Callable[[RobotSettings], Tap | None] | None = None,
 ) -> AsyncIterator[VirtualCell]:
     """Run virtual controllers and a gateway that reads them, all on free ports of this machine.
 
@@ -83,7 +83,7 @@ async def virtual_cell(
         recorder: Keys of the table `[recorder]`.
         simulated: Options of the virtual controllers; None: their defaults.
         registry: Where the plugin is found.
-        tap_of: Gives what is shown every byte of a robot's sessions.
+        tap_of: Gives what is shown every byte of a robot's sessions; None: the recorder does.
 
     Raises:
         VendorError: The plugin or its virtual controller cannot be loaded.
