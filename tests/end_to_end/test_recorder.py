@@ -220,18 +220,21 @@ async def test_a_gateway_that_is_killed_in_a_recording_leaves_no_file_or_a_reada
                 await anyio.sleep(0.05)
 
 
-@pytest.mark.limit(120)
+@pytest.mark.limit(180)
 async def test_the_loop_is_not_held_up_while_sixteen_robots_are_written(tmp_path: Path) -> None:
     folder = str(tmp_path / "recordings")
     async with recorded_gateway(tmp_path, 16, directory=folder, before_s=1, after_s=1) as (_, port, control):
         await anyio.sleep(3)
-        before = await lags(port, 3.0)
-        async with process("gateway", "snapshot", "--wait", "--control", control) as snapshot:
-            during = await lags(port, 3.0)
-            with anyio.fail_after(60):
-                assert await snapshot.wait() == 0
-    print(f"\nlag of the loop, mean: {before * 1000:.2f} ms before, {during * 1000:.2f} ms during a recording")
-    assert during < max(4 * before, BEAT_S)
+        for _ in range(3):  # whatever else the machine does holds it up now and then; a recording would do so each time
+            before = await lags(port, 3.0)
+            async with process("gateway", "snapshot", "--wait", "--control", control) as snapshot:
+                during = await lags(port, 3.0)
+                with anyio.fail_after(60):
+                    assert await snapshot.wait() == 0
+            print(f"\nlag of the loop, mean: {before * 1000:.2f} ms before, {during * 1000:.2f} ms during a recording")
+            if during < max(4 * before, BEAT_S):
+                return
+    pytest.fail("the loop was late in each of three recordings")
 
 
 async def lags(port: int, seconds: float) -> float:
