@@ -126,11 +126,12 @@ class _Session:
                 if not self._is_over():
                     self._try_again()
         except SpoolError as error:
-            self._writing.abandon()
+            self._writing.leave()
             fail(f"the gateway and this command do not fit together: {error}")
         except OSError as error:
-            self._writing.abandon()
-            fail(f"{self._writing.path or 'the recording'}: {error.strerror or error}; what was not finished is gone")
+            path = self._writing.path or "the recording"
+            left = " and ".join(map(str, self._writing.leave())) or "nothing"
+            fail(f"{path}: {error.strerror or error}; of what was not finished there is {left}")
         tally = self._writing.tally
         for note in tally.notes:
             tell("warning:", "yellow", note)

@@ -60,8 +60,8 @@ def main() -> None:
     with suppress(OSError):
         _OOM.write_text(_FIRST_TO_GO)
     outcome = write(Path(sys.argv[1]))
-    sys.stdout.buffer.write(msgspec.json.encode(outcome) + b"\n")
-    sys.stdout.flush()
+    with suppress(BrokenPipeError):  # the gateway has gone: nobody asks any more
+        os.write(sys.stdout.fileno(), msgspec.json.encode(outcome) + b"\n")
     sys.exit(1 if outcome.error else 0)
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
@@ -88,18 +87,18 @@ class _File:
         self.lost = 0
         self.from_t = begin.from_t
         self._making = Making(self.writer, samples=samples)
-        self.take(begin)
+        try:
+            self.take(begin)
+        except OSError:
+            self.writer.abandon()
+            raise
 
     @property
     def notes(self) -> list[str]:
         return self._making.notes
 
     def take(self, message: Message) -> None:
-        try:
-            self._making.take(message)
-        except BaseException:
-            self.writer.abandon()
-            raise
+        self._making.take(message)
 
     def finish(self, to_t: int) -> None:
         self.take(End(to_t=to_t, more={"dropped": str(self.lost)}))
@@ -159,7 +158,7 @@ class Continuous:
         """Write the next message of the stream.
 
         Raises:
-            OSError: The disk does not take it; the file is given up.
+            OSError: The disk does not take it; what was written of the file stays (`leave`).
         """
         if isinstance(message, Begin):  # a gateway, or the same one with other robots
             self.finish()
@@ -178,7 +177,7 @@ class Continuous:
         """Begin the next file if this one is full, and finish the old one if nothing more can belong to it.
 
         Raises:
-            OSError: The disk does not take it; the file is given up.
+            OSError: The disk does not take it; what was written of the file stays (`leave`).
         """
         if self._old is not None and self._file is not None and self._now_s() - self._file.began_s >= OVERLAP_S:
             self._finish_old(self._file.from_t)
@@ -189,7 +188,7 @@ class Continuous:
         """Finish what is being written: nothing more comes.
 
         Raises:
-            OSError: The disk does not take it; the file is given up.
+            OSError: The disk does not take it; what was written of the file stays (`leave`).
         """
         now = self._utc_us()
         self._finish_old(now)
@@ -198,13 +197,13 @@ class Continuous:
         self._recent.clear()
         self._standing.clear()
 
-    def abandon(self) -> None:
-        """Give up what is not finished."""
-        for one in (self._old, self._file):
-            if one is not None:
-                with suppress(OSError):
-                    one.writer.abandon()
+    def leave(self) -> list[Path]:
+        """Leave what is not finished as it is; which files that are."""
+        left = [one.writer for one in (self._old, self._file) if one is not None]
+        for writer in left:
+            writer.leave()
         self._old = self._file = None
+        return [writer.part for writer in left if writer.part.exists()]
 
     def _take_raw(self, message: Raw) -> None:
         self.newest_t = message.block.last_t
@@ -254,10 +253,11 @@ class Continuous:
             new.take(said)
 
     def _finish_old(self, to_t: int) -> None:
-        old, self._old = self._old, None
+        old = self._old
         if old is None:
             return
         old.finish(to_t)
+        self._old = None
         self.tally.n_bytes += old.writer.path.stat().st_size
         self.tally.n_files += 1
         self.tally.last = old.writer.path

@@ -136,9 +136,11 @@ class _RobotMaking:
             if topic.group.delivery == "state":
                 self._before[topic.name] = sample
             return
-        for standing in self._before.values():
-            self._say(standing)
-        self._before.clear()
+        if self._before:
+            for standing in self._before.values():
+                self._say(standing)
+            self._before.clear()
+        self._from_t = 0  # it has begun: a clock that is set back later leaves nothing out
         self._say(sample)
 
     def on_event(self, topic: Topic, event: Event) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Literal, Self
@@ -53,14 +54,19 @@ class Writer:
     Args:
         path: The file, which must not exist yet.
 
+    Attributes:
+        path: The file.
+        part: Where it stands until it is whole.
+        n_messages: How many messages it has.
+
     Raises:
         OSError: It cannot be made.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._part = path.with_name(path.name + PART)
-        self._file: IO[bytes] = self._part.open("xb")
+        self.part = path.with_name(path.name + PART)
+        self._file: IO[bytes] = self.part.open("xb")
         self._writer = McapWriter(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(profile=PROFILE, library=PROFILE)
         self._channels: dict[str, int] = {}
@@ -120,7 +126,7 @@ class Writer:
         self._file.flush()
         os.fsync(self._file.fileno())
         self._file.close()
-        self._part.rename(self.path)
+        self.part.rename(self.path)
         folder = os.open(self.path.parent, os.O_RDONLY | os.O_DIRECTORY)
         try:
             os.fsync(folder)
@@ -129,10 +135,13 @@ class Writer:
 
     def abandon(self) -> None:
         """Leave no file, if it was not finished."""
-        if not self._file.closed:
-            with suppress(OSError):  # what is buffered cannot be written to a full disk
-                self._file.close()
-        self._part.unlink(missing_ok=True)
+        self.leave()
+        self.part.unlink(missing_ok=True)
+
+    def leave(self) -> None:
+        """Write no more, and leave what there is under its unfinished name; `replay` reads it as far as it goes."""
+        with suppress(OSError):  # what is buffered cannot be written to a full disk
+            self._file.close()
 
     def _add(self, channel: int, t: int, data: bytes, index: int) -> None:
         self.n_messages += 1
@@ -148,14 +157,17 @@ class Writer:
     def _schema(self, group: str) -> int:
         found = self._schemas.get(group)
         if found is None:
-            text = msgspec.json.encode(_schema_of(group))
+            text = _schema_of(group)
             found = self._schemas[group] = self._writer.register_schema(f"robot-gateway.{group}", "jsonschema", text)
         return found
 
 
-def _schema_of(group: str) -> dict[str, object]:
+@lru_cache(maxsize=64)
+def _schema_of(group: str) -> bytes:
     if group == "session":
-        return plain(msgspec.json.schema(Mark))
-    if group not in GROUPS:
-        return {"type": "object", "title": group}
-    return event_schema(group) if GROUPS[group].delivery == "event" else sample_schema(group)
+        schema = plain(msgspec.json.schema(Mark))
+    elif group not in GROUPS:
+        schema = {"type": "object", "title": group}
+    else:
+        schema = event_schema(group) if GROUPS[group].delivery == "event" else sample_schema(group)
+    return msgspec.json.encode(schema)

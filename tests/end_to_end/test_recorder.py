@@ -220,21 +220,49 @@ async def test_a_gateway_that_is_killed_in_a_recording_leaves_no_file_or_a_reada
                 await anyio.sleep(0.05)
 
 
-@pytest.mark.limit(180)
+@pytest.mark.limit(120)
 async def test_the_loop_is_not_held_up_while_sixteen_robots_are_written(tmp_path: Path) -> None:
-    folder = str(tmp_path / "recordings")
-    async with recorded_gateway(tmp_path, 16, directory=folder, before_s=1, after_s=1) as (_, port, control):
+    folder = tmp_path / "recordings"
+    async with recorded_gateway(tmp_path, 16, directory=str(folder), before_s=1, after_s=1) as (_, port, control):
         await anyio.sleep(3)
-        for _ in range(3):  # whatever else the machine does holds it up now and then; a recording would do so each time
-            before = await lags(port, 3.0)
-            async with process("gateway", "snapshot", "--wait", "--control", control) as snapshot:
-                during = await lags(port, 3.0)
-                with anyio.fail_after(60):
-                    assert await snapshot.wait() == 0
-            print(f"\nlag of the loop, mean: {before * 1000:.2f} ms before, {during * 1000:.2f} ms during a recording")
-            if during < max(4 * before, BEAT_S):
-                return
-    pytest.fail("the loop was late in each of three recordings")
+        before = await lags(port, 3.0)
+        async with process("gateway", "snapshot", "--control", control) as snapshot, own_lag() as own:
+            during = await lags(port, 4.0)
+            with anyio.fail_after(30):
+                assert await snapshot.wait() == 0
+        assert list(folder.glob("*.mcap*")), "nothing was recorded meanwhile"
+    usual = max(before, own.mean_s)  # a machine that has other things to do holds both loops up
+    print(f"\nlag of the loop, mean: {usual * 1000:.2f} ms without, {during * 1000:.2f} ms during a recording")
+    assert during < max(4 * usual, BEAT_S)
+
+
+@dataclasses.dataclass
+class _Lag:
+    """How late a loop was."""
+
+    total_s: float = 0.0
+    count: int = 0
+
+    @property
+    def mean_s(self) -> float:
+        return self.total_s / max(1, self.count)
+
+
+@asynccontextmanager
+async def own_lag() -> AsyncIterator[_Lag]:
+    """Watch how late the loop of this process is meanwhile."""
+    lag = _Lag()
+
+    async def watch() -> None:
+        while True:
+            due_s = anyio.current_time() + BEAT_S
+            await anyio.sleep_until(due_s)
+            lag.total_s, lag.count = lag.total_s + anyio.current_time() - due_s, lag.count + 1
+
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(watch)
+        yield lag
+        tasks.cancel_scope.cancel()
 
 
 async def lags(port: int, seconds: float) -> float:

@@ -9,10 +9,14 @@ import anyio
 import pytest
 from mcap.reader import make_reader
 
+from gateway.record.chunks import pack
 from gateway.record.continuous import OVERLAP_S, Continuous, Limits
+from gateway.record.mcapfile import PART, Writer
+from gateway.record.reading import open_recording
 from gateway.record.recorder import Recorder
-from gateway.record.spool import Lost, SpoolReader
+from gateway.record.spool import Lost, Raw, SpoolReader
 from gateway.testing.cell import virtual_cell
+from tests.record.kit import T0, begin, known_chunks, robots_toml
 
 
 class Time:
@@ -104,3 +108,24 @@ async def test_a_file_is_full_at_its_size_and_says_what_was_dropped(tmp_path: Pa
     with first.open("rb") as file:
         metadata = {key: value for one in make_reader(file).iter_metadata() for key, value in one.metadata.items()}
     assert metadata["dropped"] == "3"
+
+
+def test_what_was_written_before_the_disk_was_full_stays_and_can_be_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    writing = Continuous(tmp_path, ("*",), Limits(), samples=False, now_s=lambda: 0.0, utc_us=lambda: T0)
+    writing.take(begin(robots_toml("rainbow", "reqdata")))
+    block = pack(known_chunks(3000), (), ())
+    writing.take(Raw(robot="r1", block=block))
+    monkeypatch.setattr(Writer, "raw", fail)
+    with pytest.raises(OSError, match="No space left"):
+        writing.take(Raw(robot="r1", block=block))
+
+    (left,) = writing.leave()
+
+    assert list(tmp_path.iterdir()) == [left]
+    assert left.name.endswith(PART)
+    assert open_recording(left).topics["r1/raw/received"] > 100

@@ -41,6 +41,21 @@ def test_samples_are_written_from_the_beginning_on_with_the_states_that_stood_th
     assert len(stood) == len(set(stood))
 
 
+def test_a_clock_that_is_set_back_after_the_beginning_leaves_no_sample_out(tmp_path: Path) -> None:
+    chunks = known_chunks(10)
+    back = [msgspec.structs.replace(chunk, t=chunk.t - 3_600_000_000) for chunk in chunks[8:]]
+    block = pack([*chunks[:8], *back], (), ())
+    recording, _ = made(
+        tmp_path / "back.mcap",
+        begin(robots_toml("rainbow", "reqdata"), from_t=T0),
+        Raw(robot="r1", block=block),
+        End(to_t=T0),
+    )
+
+    numbers = [name[2] for name in recorded_samples(recording) if name[0] == "r1/joints"]
+    assert len(numbers) == sum(chunk.kind == "received" for chunk in chunks)
+
+
 def test_a_recording_that_begins_in_a_session_says_so_and_goes_on_numbering(tmp_path: Path) -> None:
     chunks = known_chunks(10)
     opening = tuple(chunks[:3])
