@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import msgspec
 from msgspec import inspect
@@ -73,6 +74,7 @@ class Leaf:
     unit: str | None
 
 
+@lru_cache(maxsize=1024)
 def leaf(key: str) -> Leaf:
     """Find what the model says of a key.
 
