@@ -6,8 +6,9 @@ import dataclasses
 import gc
 import os
 import signal
-from collections.abc import AsyncIterator, Callable, Collection
+from collections.abc import AsyncIterator, Callable, Collection, Iterable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
+from functools import partial
 
 import anyio
 import anyio.to_thread
@@ -19,11 +20,13 @@ from gateway.api.messages import ExportInfo, RobotInfo
 from gateway.api.vendor import Transport
 from gateway.config import Config
 from gateway.config.diff import Plan, as_run, diff, effective, understand
+from gateway.config.printing import robots_as_toml
 from gateway.core.bus import Bus
 from gateway.core.clock import Clock, SystemClock
 from gateway.core.events import EventRing
 from gateway.core.links import Links
-from gateway.core.settings import RobotSettings
+from gateway.core.settings import BrokenRobot, RobotSettings
+from gateway.core.tap import Tap
 from gateway.core.tcp_server import TcpServer
 from gateway.core.transport import Connector, TcpClient
 from gateway.core.udp import UdpClient
@@ -31,6 +34,8 @@ from gateway.errors import GatewayError
 from gateway.export import Source
 from gateway.export.running import Exports
 from gateway.notify import Notifier
+from gateway.record.recorder import Recorder
+from gateway.record.settings import recorder_settings
 from gateway.reloading import attended
 from gateway.server.cell import Cell
 from gateway.server.http import listening
@@ -55,13 +60,28 @@ class Gateway:
         links: Its robots.
         doors: Its listener.
         exports: What sends it on.
+        recorder: Keeps what the robots said lately; None: nobody does.
+        env: The environment.
 
     Attributes:
         bus: Its topics and events.
+        recorder: Keeps what the robots said lately; None: nobody does.
     """
 
-    def __init__(self, config: Config, bus: Bus, cell: Cell, links: Links, doors: Listener, exports: Exports) -> None:
+    def __init__(
+        self,
+        config: Config,
+        bus: Bus,
+        cell: Cell,
+        links: Links,
+        doors: Listener,
+        exports: Exports,
+        recorder: Recorder | None,
+        env: Mapping[str, str],
+    ) -> None:
         self.bus = bus
+        self.recorder = recorder
+        self._env = env
         self._asked = config
         self._runs = understand(config)
         self._cell = cell
@@ -128,6 +148,8 @@ class Gateway:
             plan = diff(self._runs, new, self._links.holding - set(drop))
             if not check:
                 self.bus.resize(config.server.event_ring, config.server.command_ring)
+                if self.recorder is not None and plan.recorder:
+                    self.recorder.configure(recorder_settings(config.recorder, self._env))
                 await self._take_robots(plan, config)
                 await self._exports.apply(config.export)
                 self._asked, self._runs = config, as_run(plan, self._runs, new)
@@ -136,6 +158,8 @@ class Gateway:
     async def _take_robots(self, plan: Plan, config: Config) -> None:
         robots = effective(plan, self._links.robots, config.robots)
         await self._links.apply(robots, stopped=plan.stopped, before_start=lambda: self._cell.replace(robots))
+        if self.recorder is not None and (plan.added or plan.removed or plan.changed):
+            self.recorder.robots_changed()
         self._links.wait({one.name: WAITS.format(name=one.name) for one in plan.held}, self._freed.set)
 
     async def follow_up(self) -> None:
@@ -173,8 +197,44 @@ def connector(transport: Transport, host: str, port: int) -> Connector:
     return UdpClient(host, port) if transport == "udp" else TcpClient(host, port)
 
 
+def recorder_of(
+    config: Config,
+    bus: Bus,
+    clock: Clock,
+    robots: Callable[[], Iterable[RobotSettings | BrokenRobot]],
+    env: Mapping[str, str],
+) -> Recorder | None:
+    """The recorder that a configuration asks for; None: it wants none.
+
+    Args:
+        config: Asks for it.
+        bus: Where the robots are published.
+        clock: Both times.
+        robots: Tells them as they run.
+        env: The environment.
+    """
+    if not config.recorder.enabled:
+        return None
+
+    def understood() -> tuple[str, list[str]]:
+        toml = robots_as_toml(robot for robot in robots() if isinstance(robot, RobotSettings))
+        return toml, [str(folder) for folder in config.vendor_dirs]
+
+    return Recorder(recorder_settings(config.recorder, env), bus, clock, understood)
+
+
+def _tapped(recorder: Recorder, robot: RobotSettings) -> Tap:
+    return recorder.tap(robot.name)
+
+
 @asynccontextmanager
-async def running(config: Config, clock: Clock | None = None) -> AsyncIterator[Gateway]:
+async def running(
+    config: Config,
+    clock: Clock | None = None,
+    env: Mapping[str, str] = os.environ,
+    *,
+    tap_of: Callable[[RobotSettings], Tap | None] | None = None,
+) -> AsyncIterator[Gateway]:
     """Run the gateway for as long as the context lasts.
 
     The doors are open before the first link is tried, so that a subscriber sees every event.
@@ -182,25 +242,42 @@ async def running(config: Config, clock: Clock | None = None) -> AsyncIterator[G
     Args:
         config: What to run.
         clock: Tests give their own.
+        env: The environment.
+        tap_of: Gives what is shown every byte of a robot's sessions, in the place of the recorder.
 
     Raises:
         ListenError: The listener could not be opened.
     """
     bus = Bus(EventRing(config.server.event_ring), config.server.command_ring)
     clock = clock or SystemClock()
-    links = Links(config.robots, bus, clock, connector_of)
-    cell = Cell(config.robots, bus, lambda: exports.infos())  # noqa: PLW0108 - which are made next
+    links: Links
+    recorder = None
+    if tap_of is None:
+        recorder = recorder_of(config, bus, clock, lambda: tuple(links.robots.values()), env)
+    if recorder is not None:
+        tap_of = partial(_tapped, recorder)
+    links = Links(config.robots, bus, clock, connector_of, tap_of=tap_of)
+    cell = Cell(
+        config.robots,
+        bus,
+        exports=lambda: exports.infos(),  # noqa: PLW0108 - which are made next
+        recorder=lambda: None if recorder is None else recorder.info,
+    )
     exports = Exports(config.export, Source(bus=bus, infos=cell.infos, clock=clock))
+    if recorder is not None:
+        recorder.watch()
     async with AsyncExitStack() as stack:
         await stack.enter_async_context(links.running())
         doors = await stack.enter_async_context(listening(cell, *config.server.address, door_settings(config)))
         _LOG.info(
             "gateway.started", version=__version__, listen=f"{doors.host}:{doors.port}", robots=len(config.robots)
         )
-        gateway = Gateway(config, bus, cell, links, doors, exports)
+        gateway = Gateway(config, bus, cell, links, doors, exports, recorder, env)
         tasks = await stack.enter_async_context(anyio.create_task_group())
         tasks.start_soon(gateway.follow_up)
         tasks.start_soon(exports.run)
+        if recorder is not None:
+            tasks.start_soon(recorder.run)
         links.start()
         try:
             yield gateway

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Mapping
 import anyio
 import structlog
 
-from gateway.api.messages import RobotInfo
+from gateway.api.messages import RecorderInfo, RobotInfo
 from gateway.api.model import LinkState
 
 _LOG = structlog.get_logger()
@@ -116,8 +116,13 @@ class Notifier:
         return True
 
 
-def status_line(infos: Iterable[RobotInfo]) -> str:
-    """What is on and what is off, and why, in one line."""
+def status_line(infos: Iterable[RobotInfo], recorder: RecorderInfo | None = None) -> str:
+    """What is on and what is off, and why, in one line; and whether the last recording failed."""
+    failed = f"; recording failed: {recorder.error}" if recorder is not None and recorder.error else ""
+    return _robots(infos) + failed
+
+
+def _robots(infos: Iterable[RobotInfo]) -> str:
     robots = list(infos)
     if not robots:
         return "no robot is configured"

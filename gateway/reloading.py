@@ -11,12 +11,14 @@ import anyio.to_thread
 import msgspec
 import structlog
 
-from gateway.api.messages import RobotInfo
+from gateway.api.messages import RecorderInfo, RobotInfo
 from gateway.config import Config
 from gateway.config.again import load_again
 from gateway.config.diff import Plan
 from gateway.errors import ConfigError, GatewayError
 from gateway.notify import Notifier, status_line
+from gateway.record.recorder import Recorder
+from gateway.recording import commands as of_recorder
 from gateway.server.control import Command, ControlError, control_path, controlled
 
 _LOG = structlog.get_logger()
@@ -43,6 +45,11 @@ class Reloadable(Protocol):
     @property
     def config(self) -> Config:
         """What it runs."""
+        ...
+
+    @property
+    def recorder(self) -> Recorder | None:
+        """Its recorder; None: it is off."""
         ...
 
     def infos(self) -> list[RobotInfo]:
@@ -129,16 +136,20 @@ async def attended(
     """
     reloader = Reloader(gateway, notifier)
     path = control_path(gateway.config.server.control, env)
-    commands = {"reload": Command(Reload, reloader.command)}
+    commands = {"reload": Command(Reload, reloader.command), **of_recorder(gateway.recorder)}
     async with controlled(path, commands), anyio.create_task_group() as tasks:
         tasks.start_soon(notifier.feed_watchdog)
-        tasks.start_soon(notifier.keep_telling, lambda: status_line(gateway.infos()))
+        tasks.start_soon(notifier.keep_telling, lambda: status_line(gateway.infos(), _recorder(gateway)))
 
         def on_hangup() -> None:
             tasks.start_soon(reloader.on_signal)
 
         yield on_hangup
         tasks.cancel_scope.cancel()
+
+
+def _recorder(gateway: Reloadable) -> RecorderInfo | None:
+    return None if gateway.recorder is None else gateway.recorder.info
 
 
 def _refused(code: str, message: str, error: GatewayError) -> ControlError:
@@ -156,6 +167,7 @@ def _log(plan: Plan) -> None:
         unchanged=plan.unchanged,
         held=[one.name for one in plan.held],
         doors=[one.key for one in plan.doors],
+        recorder=[one.key for one in plan.recorder],
     )
     for one in plan.held:
         _LOG.warning("reload.held", robot=one.name, reason=one.reason)

@@ -13,6 +13,7 @@ from pathlib import Path
 import anyio
 import pytest
 
+from gateway.api.messages import RecorderInfo
 from gateway.core.registry import Registry
 from gateway.server.cell import Cell
 from gateway.server.health import Pulse
@@ -85,7 +86,8 @@ def test_the_collector_sees_a_log_behind_every_name_that_the_house_uses() -> Non
 def test_every_metric_stands_on_the_page_and_no_other() -> None:
     bus, robots = cell("r1")
     doors = {door: Traffic() for door in ("native", "foxglove", "sse")}
-    families = Scrapes(delivered=lambda: doors, pulse=Pulse(), refused={}).registry(Cell(robots, bus)).collect()
+    shown = Cell(robots, bus, recorder=RecorderInfo)
+    families = Scrapes(delivered=lambda: doors, pulse=Pulse(), refused={}).registry(shown).collect()
     metrics = {f"{family.name}_total" if family.type == "counter" else family.name for family in families}
     assert set(re.findall(r"robot_gateway_[a-z_]+", PAGE)) == metrics
 

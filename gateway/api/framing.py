@@ -212,7 +212,7 @@ class FramedDecoder:
                 reason = reason or "junk"
                 at = found
                 continue
-            outcome = self._frame_at(buffer, at)
+            outcome = self._frame_at(buffer, at, explain=not reason)
             if outcome is None:
                 break
             if isinstance(outcome, tuple):
@@ -259,8 +259,11 @@ class FramedDecoder:
             return None
         return int(self._length_of(buffer, at + framing.length_at)[0]) + framing.length_adds
 
-    def _frame_at(self, buffer: bytes, at: int) -> Frame | Skipped | _Wrong | None:
-        """The frame that begins at `at`; what is wrong where none does; None while more bytes are needed."""
+    def _frame_at(self, buffer: bytes, at: int, *, explain: bool) -> Frame | Skipped | _Wrong | None:
+        """The frame that begins at `at`; what is wrong where none does; None while more bytes are needed.
+
+        A reject tells what was wrong first: without `explain` the words are spared, for a magic may be at every byte.
+        """
         framing = self._framing
         total = self._promised(buffer, at)
         if total is None:
@@ -268,10 +271,11 @@ class FramedDecoder:
         type_ = None if framing.type_at is None else buffer[at + framing.type_at]
         sizes = self._kinds.get(type_)
         if sizes is None:
-            return "type", f"type {type_}, known are {', '.join(str(known) for known in self._kinds)}"
+            known = ", ".join(str(known) for known in self._kinds) if explain else ""
+            return "type", f"type {type_}, known are {known}"
         if not sizes.allow(total):
-            header = buffer[at : at + framing.header].hex(" ")
-            return "size", f"{sizes.kind.name} of {total} bytes (header {header}), known are {sizes}"
+            header = buffer[at : at + framing.header].hex(" ") if explain else ""
+            return "size", f"{sizes.kind.name} of {total} bytes (header {header}), known are {sizes}" if explain else ""
         if sizes.longest and self._length not in {None, total}:
             return "length", f"{sizes.kind.name} of {total} bytes in a session of {self._length} bytes"
         if len(buffer) - at < total:

@@ -123,6 +123,18 @@ class ExportInfo(msgspec.Struct, frozen=True, kw_only=True):
     notes: Annotated[list[str], Meta(description="What the operator should know of it, one sentence each.")] = []
 
 
+class RecorderInfo(msgspec.Struct, frozen=True, kw_only=True):
+    """How the flight recorder does."""
+
+    directory: Annotated[str | None, Meta(description="Where recordings are written; null: nowhere.")] = None
+    recording: Annotated[str | None, Meta(description="The file that is being written; null: none is.")] = None
+    recordings: Annotated[int, Meta(description="Recordings written since the gateway started.")] = 0
+    failed: Annotated[int, Meta(description="Recordings since then that could not be written.")] = 0
+    last: Annotated[str | None, Meta(description="The last recording that was written.")] = None
+    error: Annotated[str | None, Meta(description="Why the last one could not be written; null: it could.")] = None
+    ring_bytes: Annotated[int, Meta(description="Memory that the last seconds of all robots take.")] = 0
+
+
 class SourceInfo(msgspec.Struct, frozen=True, kw_only=True):
     """Where the value of one key comes from."""
 
@@ -197,6 +209,7 @@ class Result(msgspec.Struct, tag_field="op", tag="result", frozen=True, kw_only=
     missed: Annotated[int, Meta(description="events: how many are gone; -1: their number is not known.")] | None = None
     robots: Annotated[list[RobotInfo], Meta(description="robots.")] | None = None
     exports: Annotated[list[ExportInfo], Meta(description="robots: where the cell is sent besides.")] | None = None
+    recorder: Annotated[RecorderInfo, Meta(description="robots: where there is one and all may be seen.")] | None = None
     description: Annotated[Description, Meta(description="describe.")] | None = None
     t: Annotated[int, Meta(description="ping: the gateway's UTC time.", extra_json_schema={"unit": "µs"})] | None = None
 

@@ -77,6 +77,10 @@ class Polled:
         """What the frames themselves tell."""
         return self._decoder.gaps
 
+    def asked(self, data: bytes) -> None:
+        """Take a request of a recorded session, which this decoder did not make."""
+        self._turn.ask(data)
+
     def feed(self, data: bytes) -> list[Event]:
         """Take received bytes; a frame without a request is rejected and ends the session."""
         events = self._decoder.feed(data)

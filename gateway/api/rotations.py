@@ -1,14 +1,14 @@
-"""Rotations: from the vendors' three angles to the model's unit quaternions."""
+"""Rotations: from the three numbers that vendors give to the model's unit quaternions."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import cos, sin
+from math import cos, hypot, isinf, sin
 from typing import Literal
 
 from gateway.api.model import Pose
 
-Rotation = Literal["rpy_fixed_xyz"]
+Rotation = Literal["rpy_fixed_xyz", "rotation_vector"]
 
 
 def quaternion_from_rpy(rx: float, ry: float, rz: float) -> list[float | None]:
@@ -38,8 +38,35 @@ def pose_from_rpy(x: float, y: float, z: float, rx: float, ry: float, rz: float)
     return Pose([x, y, z], quaternion_from_rpy(rx, ry, rz))
 
 
+def quaternion_from_rotation_vector(rx: float, ry: float, rz: float) -> list[float | None] | None:
+    """Convert a rotation vector (axis times angle) to a unit quaternion.
+
+    Args:
+        rx: x of the vector, rad: its direction is the axis, its length the angle.
+        ry: y, rad.
+        rz: z, rad.
+
+    Returns:
+        Shape (4,), (x, y, z, w), w >= 0; None for a vector that is too long to be a rotation.
+    """
+    angle = hypot(rx, ry, rz)
+    if isinf(angle):
+        return None
+    w = cos(angle * 0.5)
+    scale = sin(angle * 0.5) / angle if angle else 0.5
+    return [rx * scale, ry * scale, rz * scale, w] if w >= 0 else [-rx * scale, -ry * scale, -rz * scale, -w]
+
+
+def pose_from_rotation_vector(x: float, y: float, z: float, rx: float, ry: float, rz: float) -> Pose:
+    """Make a pose of a position in m and a rotation vector in rad."""
+    return Pose([x, y, z], quaternion_from_rotation_vector(rx, ry, rz))
+
+
 # How a pose is made of six numbers, by the rotation that a signal row states.
-POSE_FROM: dict[Rotation, Callable[[float, float, float, float, float, float], Pose]] = {"rpy_fixed_xyz": pose_from_rpy}
+POSE_FROM: dict[Rotation, Callable[[float, float, float, float, float, float], Pose]] = {
+    "rpy_fixed_xyz": pose_from_rpy,
+    "rotation_vector": pose_from_rotation_vector,
+}
 
 
 def pose_without_rotation(x: float, y: float, z: float, *_: float) -> Pose:

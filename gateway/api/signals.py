@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import msgspec
 from msgspec import inspect
@@ -28,7 +29,7 @@ class Signal:
             array. Not called where a source is not in the frame or not finite: the key is null then.
         partial: Whether `via` is called all the same, with None for such a source.
         options: Options of the robot that `via` takes as keyword arguments.
-        rotation: How the three angles of a `mm|deg` source turn; None leaves the orientation null.
+        rotation: How the last three numbers of a `mm|deg` source turn; None leaves the orientation null.
         quality: SUBSTITUTED for a commanded value that is shown as measured, UNCERTAIN for a reading not established.
         volatile: Whether the value always changes: it never makes a state topic publish by itself.
         calm: Of a layout: makes what `via` gives while every source is 0 (`list`: [], `bool`: False); it is not called
@@ -76,6 +77,7 @@ class Leaf:
     unit: str | None
 
 
+@lru_cache(maxsize=1024)
 def leaf(key: str) -> Leaf:
     """Find what the model says of a key.
 

@@ -61,6 +61,8 @@ class Protocol:
         options: A frozen msgspec struct of the protocol's own options; every field has a default.
         request: Makes the bytes that ask for one frame from the options; None where the controller pushes.
         make_reader: Makes a decoder that only reads, for recordings; None: the framing's.
+        make_observer: Makes the same for the sessions of a robot with given options, where what they were agreed on or
+            what was asked matters: it may be an `AskedDecoder`. None: as `make_reader`.
         make_decoders: Makes, from a robot's options and the rate it is asked at (0: it is not), what makes the decoder
             of each of its sessions: for a protocol with a discipline of its own. What one session learns for the next
             ones stays between the two.
@@ -93,6 +95,7 @@ class Protocol:
     options: type[msgspec.Struct] = NoOptions
     request: Callable[[msgspec.Struct], bytes] | None = None
     make_reader: DecoderFactory | None = None
+    make_observer: Callable[[msgspec.Struct], Decoder] | None = None
     make_decoders: Callable[[msgspec.Struct, float], DecoderFactory] | None = None
     tick_s: float | None = None
     handshake_s: float | None = None
@@ -136,6 +139,12 @@ class Protocol:
         if self.make_reader is not None:
             return self.make_reader()
         return FramedDecoder(cast("Framing", self.framing))
+
+    def observer(self, options: msgspec.Struct) -> Decoder:
+        """Make a decoder that reads a recorded session of a robot with these options: it is told what was sent."""
+        if self.make_observer is not None:
+            return self.make_observer(options)
+        return self.reader() if self.request is None else self.decoder(options)
 
     def transport(self, options: msgspec.Struct) -> Transport:
         """What a robot with these options is reached over."""

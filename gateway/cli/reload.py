@@ -71,6 +71,8 @@ def rows(plan: Plan) -> Iterator[_Row]:
         yield "" if number else "doors", change.key, _change(change)
     for number, change in enumerate(plan.exports):
         yield "" if number else "exports", change.key, _change(change)
+    for number, change in enumerate(plan.recorder):
+        yield "" if number else "recorder", change.key, _change(change)
     for told in plan.restart:
         name, _, why = told.partition(": ")
         yield "at restart", name, why

@@ -43,8 +43,8 @@ _VENDOR_HELP = """Run virtual {vendor} controllers until Ctrl-C.
 \b
 Examples:
   robot-gateway simulate {vendor}
-  robot-gateway simulate {vendor} --host 127.0.0.2 --count 16 --scenario steady
-  robot-gateway simulate {vendor} --chaos split=0.2,junk=0.05,cut=5 --seed 7
+  robot-gateway simulate {vendor} --host 127.0.0.2 --count 16
+  robot-gateway simulate {vendor} --chaos junk=0.05,cut=5 --seed 7
 
 \b
 Scenarios:

@@ -12,12 +12,12 @@ from typing import Annotated
 import msgspec
 import typer
 
-from gateway.api.messages import RobotInfo
+from gateway.api.messages import RecorderInfo, RobotInfo
 from gateway.api.model import LinkState, Sample
 from gateway.cli.common import DEFAULT_URL, USAGE, Ca, TokenFile, Url, call, fail, tell, terminal, way
 from gateway.cli.measured import Measured
 from gateway.cli.nats import Credentials, NatsUrl, PlantName, access_of
-from gateway.cli.view import INSECURE, export_lines, robots_table
+from gateway.cli.view import INSECURE, export_lines, recorder_line, robots_table
 from gateway.cli.watch import watch as watch_cell
 from gateway.cli.why import explain
 from gateway.client import Client, Way, connect
@@ -78,7 +78,7 @@ def status(
 async def _once(gateway: Way, *, as_json: bool) -> None:
     async with connect(gateway) as client:
         _warn(client)
-        robots, latest = await _ask(client)
+        robots, recorder, latest = await _ask(client)
         exports = await client.exports()
     if as_json:
         shown = [
@@ -95,6 +95,8 @@ async def _once(gateway: Way, *, as_json: bool) -> None:
     console.print(robots_table(robots, latest, _now_us(), console.width))
     for line in export_lines(exports, _now_us()):
         console.print(line)
+    if (said := recorder_line(recorder)) is not None:
+        console.print(said)
 
 
 def _warn(client: Client) -> None:
@@ -122,11 +124,11 @@ async def _why(gateway: Way, name: str) -> None:
         sys.stdout.write(f"{line}\n")
 
 
-async def _ask(client: Client) -> tuple[list[RobotInfo], dict[str, Sample]]:
-    robots = await client.robots()
+async def _ask(client: Client) -> tuple[list[RobotInfo], RecorderInfo | None, dict[str, Sample]]:
+    robots, recorder = await client.cell()
     wanted = [f"{robot.name}/{group}" for robot in robots for group in ("status", "safety") if group in robot.groups]
     latest = await client.get(wanted) if wanted else []
-    return robots, {sample.topic: sample for sample in latest}
+    return robots, recorder, {sample.topic: sample for sample in latest}
 
 
 def _now_us() -> int:

@@ -45,6 +45,8 @@ def vendor_check(
     Exit codes: 0 no check failed; 1 a check failed, or the plugin cannot be loaded; 2 no such plugin; 78 a folder
     of plugins may not be used.
 
+    The folder that `robot-gateway new-vendor` writes says line by line what to fill in.
+
     Example: robot-gateway vendor-check rainbow
 
     Example: robot-gateway vendor-check kilo --vendor-dir ./my-vendors
@@ -69,11 +71,15 @@ async def _report(found: Sequence[Subject]) -> list[Outcome]:
     """Run the suite and print each result as it comes."""
     console = Console(highlight=False, soft_wrap=True)
     outcomes: list[Outcome] = []
+    told: dict[str, str] = {}  # what is wrong -> the check that said it first
     async for outcome in run(found):
         if not outcomes or outcomes[-1].subject is not outcome.subject:
             console.print(Text(f"{outcome.subject.vendor.title}, protocol {outcome.subject.protocol.name}", "bold"))
         console.print(Text.assemble(f"  {outcome.check.name:{_WIDTH}}  ", (outcome.result, _COLOURS[outcome.result])))
-        for line in textwrap.wrap(outcome.message, _LINE - 6, break_on_hyphens=False):
-            console.print(Text(f"      {line}"))
+        first = told.setdefault(outcome.message, outcome.check.name) if outcome.result == "failed" else ""
+        message = outcome.message if first in {"", outcome.check.name} else f"the same as {first}, above"
+        for paragraph in message.splitlines():
+            for line in textwrap.wrap(paragraph, _LINE - 6, subsequent_indent="  ", break_on_hyphens=False):
+                console.print(Text(f"      {line}"))
         outcomes.append(outcome)
     return outcomes

@@ -11,7 +11,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from gateway.api.messages import ExportInfo, RobotInfo
+from gateway.api.messages import ExportInfo, RecorderInfo, RobotInfo
 from gateway.api.model import Event, EventKind, LinkState, Sample
 
 UNKNOWN = "–"  # noqa: RUF001 - a dash, as in print
@@ -78,9 +78,7 @@ def robots_table(
     shown = list(robots)
     if not shown:
         return Text("no robots are configured")
-    rows = [_row(robot, spoken(robot), latest, now_us) for robot in shown]
-    if _needed(rows, _HEADINGS) > width:
-        rows = [_row(robot, robot.vendor, latest, now_us) for robot in shown]
+    rows = _rows(shown, latest, now_us, width)
     kept = set(_HEADINGS)
     for heading in _LEAST_IMPORTANT:
         if _needed(rows, kept) <= width:
@@ -115,6 +113,28 @@ def export_lines(exports: Iterable[ExportInfo], now_us: int) -> Iterator[Text]:
         yield Text.assemble((f"{one.name}: ", "bold"), f"{one.target}, ", state, words)
         for told in (*([one.reason] if one.reason else []), *one.notes):
             yield Text.assemble((f"{one.name}: ", "bold"), told)
+
+
+def recorder_line(recorder: RecorderInfo | None) -> Text | None:
+    """What the recorder does that one should know; None: nothing."""
+    if recorder is None:
+        return None
+    if recorder.error is not None:
+        return Text.assemble(("recording failed: ", "bold red"), recorder.error)
+    if recorder.recording is not None:
+        return Text.assemble(("recording: ", "bold"), recorder.recording)
+    return None
+
+
+def _rows(shown: Sequence[RobotInfo], latest: Mapping[str, Sample], now_us: int, width: int) -> list[tuple[Text, ...]]:
+    """A row for each robot; where they are too wide, the longest of what they speak is cut to the vendor first."""
+    speaks = [spoken(robot) for robot in shown]
+    while True:
+        rows = [_row(robot, text, latest, now_us) for robot, text in zip(shown, speaks, strict=True)]
+        whole = [len(text) for robot, text in zip(shown, speaks, strict=True) if text != robot.vendor]
+        if not whole or _needed(rows, _HEADINGS) <= width:
+            return rows
+        speaks = [robot.vendor if len(text) >= max(whole) else text for robot, text in zip(shown, speaks, strict=True)]
 
 
 def _needed(rows: Iterable[Sequence[Text]], kept: Collection[str]) -> int:
@@ -183,6 +203,20 @@ def sample_lines(sample: Sample, units: Mapping[str, str]) -> Iterator[str]:
     width = max(len(key) for key, _ in leaves)
     for key, value in leaves:
         yield f"  {_leaf_text(key, value, units, width)}"
+
+
+def value_lines(path: str, data: object, units: Mapping[str, str]) -> Iterator[str]:
+    """Values as lines, each with its unit: only what is known.
+
+    Args:
+        path: What stands before the path of each.
+        data: Plain values.
+        units: Unit by dotted path below it.
+    """
+    known = [(key, value) for key, value in _leaves(data) if value is not None and value != []]
+    width = max((len(key) for key, _ in known), default=0)
+    for key, value in known:
+        yield f"{path}.{_leaf_text(key, value, units, width)}"
 
 
 def event_line(event: Event) -> str:

@@ -76,7 +76,12 @@ class Client:
 
     async def robots(self) -> list[messages.RobotInfo]:
         """Every robot with the state of its link."""
-        return _part((await self._ask(messages.Robots(id=next(self._ids)))).robots)
+        return (await self.cell())[0]
+
+    async def cell(self) -> tuple[list[messages.RobotInfo], messages.RecorderInfo | None]:
+        """Every robot with the state of its link, and how the recorder does; None: there is none to be seen."""
+        result = await self._ask(messages.Robots(id=next(self._ids)))
+        return _part(result.robots), result.recorder
 
     async def get(self, topics: Sequence[str]) -> list[Sample]:
         """The latest samples of some topics, once."""

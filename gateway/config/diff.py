@@ -27,6 +27,7 @@ What = Literal["added", "changed", "removed"]
 # Keys of [server] whose values are nobody's business, and those that are read at the start only.
 SECRET = ("tokens", "tls.certificate", "tls.key")
 AT_START = {"control": "the control socket moves when the gateway is started again"}
+RECORDER_AT_START = {"enabled": "the recorder comes or goes when the gateway is started again"}
 _SESSION = (
     "holds a session that must not be dropped, because its controller may stop the robot when it ends; "
     "the old settings stay until it ends by itself, or until: robot-gateway reload --drop {name}"
@@ -86,6 +87,7 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
         unchanged: How many robots notice nothing.
         doors: Keys of `[server]`.
         exports: Keys of `[export]`.
+        recorder: Keys of `[recorder]`.
         restart: What does not change before the gateway is started again.
         warnings: What is worth knowing of the new configuration.
     """
@@ -97,6 +99,7 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
     unchanged: int = 0
     doors: list[KeyChange] = []
     exports: list[KeyChange] = []
+    recorder: list[KeyChange] = []
     restart: list[str] = []
     warnings: list[str] = []
 
@@ -113,6 +116,7 @@ class Understood:
     Attributes:
         robots: Keys of each robot, by its name.
         doors: Keys of `[server]`.
+        recorder: Keys of `[recorder]`.
         vendor_dirs: The folders of further plugins.
         content: What stands in the files that `[server]` names; compared and never shown.
         exports: Keys of `[export]`.
@@ -121,6 +125,7 @@ class Understood:
 
     robots: Mapping[str, Keys]
     doors: Keys
+    recorder: Keys
     vendor_dirs: str
     content: Mapping[str, object]
     exports: Keys
@@ -134,6 +139,7 @@ def understand(config: Config) -> Understood:
     return Understood(
         robots=robots,
         doors=dict(_flat(printed["server"])),
+        recorder=dict(_flat(printed["recorder"])),
         vendor_dirs=toml_value(printed["vendor_dirs"]),
         content=_content(config),
         exports=dict(_flat(printed.get("export", {}))),
@@ -161,6 +167,7 @@ def diff(running: Understood, new: Understood, holding: Collection[str]) -> Plan
         unchanged=sum(before.get(name) == keys for name, keys in after.items()),
         doors=_doors(running, new),
         exports=_exports(running, new),
+        recorder=[one for one in _changes(running.recorder, new.recorder) if one.key not in RECORDER_AT_START],
         restart=_restart(running, new),
     )
     return _held_back(plan, before, after, holding)
@@ -184,7 +191,8 @@ def as_run(plan: Plan, running: Understood, new: Understood) -> Understood:
     robots.update({name: running.robots[name] for name, what in held.items() if what != "added"})
     kept = {key: running.doors[key] for key in AT_START if key in running.doors}
     doors = {key: value for key, value in new.doors.items() if key not in AT_START} | kept
-    return dataclasses.replace(new, robots=robots, doors=doors)
+    recorder = {**new.recorder, **{key: running.recorder[key] for key in RECORDER_AT_START}}
+    return dataclasses.replace(new, robots=robots, doors=doors, recorder=recorder)
 
 
 def _held_back(plan: Plan, before: Mapping[str, Keys], after: Mapping[str, Keys], holding: Collection[str]) -> Plan:
@@ -254,6 +262,11 @@ def _exports(running: Understood, new: Understood) -> list[KeyChange]:
 
 def _restart(running: Understood, new: Understood) -> list[str]:
     told = [f"server.{key}: {why}" for key, why in AT_START.items() if running.doors.get(key) != new.doors.get(key)]
+    told += [
+        f"recorder.{key}: {why}"
+        for key, why in RECORDER_AT_START.items()
+        if running.recorder.get(key) != new.recorder.get(key)
+    ]
     if running.vendor_dirs != new.vendor_dirs:
         told.append(f"vendor_dirs: {_PLUGINS}; new ones are loaded")
     return told

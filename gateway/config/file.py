@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from gateway.api.model import EventKind
 from gateway.config.certificates import CertificateError, TlsFiles, load_certificate
 from gateway.config.exports import ExportSettings, read_exports
-from gateway.config.keys import SERVER_TABLES, TOP_KEYS, Server, is_loopback
+from gateway.config.keys import SERVER_TABLES, TOP_KEYS, Recorder, Server, is_loopback
 from gateway.config.problems import Problems, fault_of, hint, quoted, read_fields, read_toml
 from gateway.config.reading import read_file
 from gateway.config.robots import Robots
@@ -40,6 +41,7 @@ class Config:
     Args:
         file: The name it was read from.
         server: The listener.
+        recorder: What is kept of the last seconds; its folder absolute, or "".
         vendor_dirs: Folders of further plugins, absolute.
         robots: In the order of the file.
         registry: Where the plugins came from.
@@ -57,6 +59,7 @@ class Config:
     tokens: tuple[Token, ...] | None = None
     tls: TlsFiles | None = None
     export: ExportSettings = field(default_factory=ExportSettings)
+    recorder: Recorder = field(default_factory=Recorder)
     warnings: tuple[str, ...] = ()
 
 
@@ -131,6 +134,7 @@ def parse(
             problems.add((name,), f"unknown key; {hint(name, TOP_KEYS, 'the keys here are')}")
     server = _server(problems, raw.get("server", {}))
     doors = Secrets(problems, server, folder, env)
+    recorder = _recorder(problems, raw.get("recorder", {}), folder)
     dirs = _vendor_dirs(problems, raw.get("vendor_dirs", []), folder)
     found = registry or _registry(problems, dirs)
     robots = Robots(problems, found, _listening(server)).read(raw.get("robots", []))
@@ -139,6 +143,7 @@ def parse(
     return Config(
         file=file,
         server=server,
+        recorder=recorder,
         vendor_dirs=tuple(dirs),
         robots=tuple(robots),
         registry=found or Registry(),
@@ -179,6 +184,25 @@ def _server(problems: Problems, raw: object) -> Server:
         what = '"*" lets any page read the cell in the browser of its visitor: set server.tokens, or name the pages'
         problems.add(("server", "allowed_origins"), what)
     return server
+
+
+def _recorder(problems: Problems, raw: object, folder: Path) -> Recorder:
+    if not isinstance(raw, dict):
+        problems.add(("recorder",), "must be a table: write [recorder], with one pair of brackets")
+        return Recorder()
+    top = dict.fromkeys(TOP_KEYS, "belongs at the top of the file, above the first [table]")
+    recorder = msgspec.convert(read_fields(problems, ("recorder",), raw, Recorder, elsewhere=top), Recorder)
+    kinds = [kind.value for kind in EventKind]
+    for kind in recorder.on:
+        if kind not in kinds:
+            what = f"there is no event {quoted(kind)}; {hint(kind, kinds, 'there are')}"
+            problems.add(("recorder", "on"), what)
+    if recorder.before_s > recorder.ring_s:
+        what = f"{recorder.before_s:g} s before a trigger are more than the {recorder.ring_s:g} s that ring_s keeps"
+        problems.add(("recorder", "before_s" if "before_s" in raw else "ring_s"), what)
+    if recorder.directory:
+        recorder = msgspec.structs.replace(recorder, directory=str(folder / Path(recorder.directory).expanduser()))
+    return recorder
 
 
 def _check_open(problems: Problems, server: Server, raw: Mapping[str, object]) -> None:

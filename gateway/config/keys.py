@@ -12,7 +12,7 @@ from msgspec import Meta
 from gateway.config.problems import quoted
 from gateway.core.settings import EstopPolarity
 
-TOP_KEYS = ("vendor_dirs", "server", "robots", "export")
+TOP_KEYS = ("vendor_dirs", "server", "recorder", "robots", "export")
 STALE_PERIODS = 5  # a link is not called stale before this many answers are missing
 PART_PERIODS = 2  # nor a value that comes in turn with others, before this many of its own
 STALE_LEAST_S = 0.02
@@ -135,6 +135,42 @@ class Server(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 # The tables below [server], by their keys.
 SERVER_TABLES: dict[str, type[msgspec.Struct]] = {"tls": Tls, "limits": PeerLimits}
+
+# What a cell's people want to look into, as a rule.
+TRIGGERS = ("fault.raised", "estop.pressed", "collision.detected", "link.lost")
+
+Trigger = Annotated[
+    str,
+    Meta(
+        pattern=r"^[a-z]+\.[a-z_]+(?!\n)$",
+        description="Kind of event.",
+        extra={"says": 'a kind of event such as "fault.raised"'},
+    ),
+]
+
+
+class Recorder(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The table `[recorder]`: what is kept of the last seconds, and when it is written to a file."""
+
+    enabled: Annotated[bool, Meta(description="Whether anything is kept at all.")] = True
+    directory: Annotated[
+        str,
+        Meta(description="Folder of the recordings. Not set: recordings/ in the service's state folder, or none."),
+    ] = ""
+    on: Annotated[
+        list[Trigger], Meta(max_length=64, description="Kinds of events that trigger a recording of the whole cell.")
+    ] = msgspec.field(default_factory=lambda: list(TRIGGERS))
+    before_s: Annotated[float, Meta(ge=0, le=3600, description="How long before its trigger a recording begins.")] = (
+        30.0
+    )
+    after_s: Annotated[float, Meta(ge=0, le=600, description="How long after its trigger a recording ends.")] = 10.0
+    ring_s: Annotated[float, Meta(ge=1, le=3600, description="How long each robot's bytes are kept in memory.")] = 60.0
+    ring_mb: Annotated[
+        float, Meta(ge=1, le=64_000, description="How many MB of memory that may take, compressed, of all robots.")
+    ] = 32.0
+    keep_files: Annotated[int, Meta(ge=1, le=1_000_000, description="How many recordings are kept.")] = 100
+    keep_mb: Annotated[float, Meta(ge=1, description="How many MB they may take on the disk.")] = 2000.0
+    keep_days: Annotated[float, Meta(gt=0, le=36500, description="How old they may become.")] = 90.0
 
 
 class RobotTable(msgspec.Struct, frozen=True, kw_only=True):

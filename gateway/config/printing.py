@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from gateway.config.exports import EXPORT_TABLES
-from gateway.config.keys import RobotTable, Server
+from gateway.config.keys import Recorder, RobotTable, Server
 from gateway.core.settings import RobotSettings
 from gateway.errors import VendorError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from gateway.api.vendor import Protocol, Vendor
     from gateway.config.file import Config
@@ -31,10 +31,22 @@ def as_toml(config: Config) -> str:
     """The configuration as understood, in TOML that means the same."""
     lines = [f"vendor_dirs = {toml_value([str(path) for path in config.vendor_dirs])}", "", "[server]"]
     lines += _doors(config)
+    lines += ["", "[recorder]", *_recorder(config)]
     lines += _exports(config)
     for robot in config.robots:
         lines += ["", "[[robots]]", *(_live(robot) if isinstance(robot, RobotSettings) else _broken(robot))]
     return "\n".join(lines) + "\n"
+
+
+def robots_as_toml(robots: Iterable[RobotSettings]) -> str:
+    """Some robots as understood, and nothing else: it holds no secret."""
+    return "\n\n".join("\n".join(["[[robots]]", *_live(robot)]) for robot in robots) + "\n"
+
+
+def _recorder(config: Config) -> Iterator[str]:
+    for key, value in msgspec.structs.asdict(config.recorder).items():
+        unset = key == "directory" and not value
+        yield "# directory is not set" if unset else f"{key} = {toml_value(value)}"
 
 
 def _doors(config: Config) -> Iterator[str]:
@@ -115,7 +127,7 @@ def json_schema(registry: Registry) -> Schema:
     """JSON Schema (draft 2020-12) of the configuration file, with the options of every vendor that can be loaded."""
     vendors = list(_loadable(registry))
     options = [protocol.options for vendor in vendors for protocol in vendor.protocols]
-    structs: list[type] = list(dict.fromkeys([Server, *EXPORT_TABLES.values(), RobotTable, *options]))
+    structs: list[type] = list(dict.fromkeys([Server, Recorder, *EXPORT_TABLES.values(), RobotTable, *options]))
     references, definitions = msgspec.json.schema_components(structs, ref_template=_REFERENCE)
     found: dict[type, Schema] = dict(zip(structs, references, strict=True))
     robot = definitions.pop(RobotTable.__name__)
@@ -153,6 +165,7 @@ def json_schema(registry: Registry) -> Schema:
                 "properties": {name: found[table] for name, table in EXPORT_TABLES.items()},
                 "additionalProperties": False,
             },
+            "recorder": found[Recorder],
             "robots": {"type": "array", "items": {"$ref": _REFERENCE.format(name="Robot")}},
         },
         "additionalProperties": False,

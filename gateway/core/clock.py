@@ -46,6 +46,18 @@ def deadline_s(at_s: float) -> float:
     return whole_s if whole_s >= at_s else whole_s + 0.001  # a product rounded down must not end the wait too early
 
 
+class Stamps(Protocol):
+    """What gives samples their times, µs since 1970 UTC."""
+
+    def stamp(self, monotonic_s: float) -> int:
+        """The time of a monotonic time in s."""
+        ...
+
+    def now(self) -> int:
+        """The time of now."""
+        ...
+
+
 class Timeline:
     """Maps monotonic receive times to UTC; never backwards inside an epoch.
 
@@ -57,6 +69,7 @@ class Timeline:
         self._clock = clock
         self._offset_us = self._measured_offset_us()
         self._last_us = 0
+        self._now_us = 0
 
     def stamp(self, monotonic_s: float) -> int:
         """The UTC time, µs since 1970, of a monotonic time in s."""
@@ -64,8 +77,9 @@ class Timeline:
         return self._last_us
 
     def now(self) -> int:
-        """The UTC time, µs since 1970, of now."""
-        return self.stamp(self._clock.monotonic())
+        """The UTC time, µs since 1970, of now; a frame received before and stamped after keeps its own."""
+        self._now_us = max(self._now_us, self._last_us, int(self._clock.monotonic() * 1e6) + self._offset_us)
+        return self._now_us
 
     def follow(self) -> int:
         """Follow the wall clock, which may have been set.
@@ -77,7 +91,7 @@ class Timeline:
         jump_us = measured - self._offset_us
         self._offset_us = measured
         if jump_us < -STEP_US:
-            self._last_us = 0
+            self._last_us = self._now_us = 0
         return jump_us if abs(jump_us) > STEP_US else 0
 
     def _measured_offset_us(self) -> int:

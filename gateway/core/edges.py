@@ -101,6 +101,15 @@ class EdgeFinder:
         self._unsure: set[str] = set()  # keys that were null since their known value
         self._faults: dict[tuple[object, ...], Fault] = {}
 
+    @property
+    def faults(self) -> Sequence[Fault]:
+        """The faults that stand, with the time since when."""
+        return tuple(self._faults.values())
+
+    def know(self, faults: Sequence[Fault]) -> None:
+        """These faults stood before the first status that is observed."""
+        self._faults = {fault.key: fault for fault in faults}
+
     def observe_safety(self, safety: Safety, untold: AbstractSet[str] = frozenset()) -> list[Edge]:
         """Compare the safety group with what was known.
 

@@ -28,6 +28,7 @@ from gateway.core.publisher import Publisher
 from gateway.core.repeats import Repeats
 from gateway.core.session import Session
 from gateway.core.settings import BrokenRobot, RobotSettings
+from gateway.core.tap import Tap
 from gateway.core.transport import Connector
 from gateway.errors import LinkClosed, LinkError, LinkRefused, LinkStale
 
@@ -48,6 +49,7 @@ class Link:
         bus: Where to publish.
         clock: Both times.
         delays: Makes a new series of delays between attempts.
+        tap: Is shown every byte of its sessions, or None.
 
     Attributes:
         groups: The groups that it has topics of.
@@ -60,6 +62,7 @@ class Link:
         bus: Bus,
         clock: Clock,
         delays: Backoff = backoff,
+        tap: Tap | None = None,
     ) -> None:
         self._robot = robot
         self._connector = connector
@@ -67,6 +70,7 @@ class Link:
         self._on_free: Callable[[], None] | None = None
         self._waiting: list[str] = []  # what the operator is told while a new configuration waits
         self._clock = clock
+        self._tap = tap
         self._new_delays = delays
         self._delays = delays()
         self._timeline = Timeline(clock)
@@ -137,7 +141,7 @@ class Link:
         if self._data.state is LinkState.ONLINE:
             self._say_lost(Quality.DISCONNECTED, LinkState.DISCONNECTED, reason)
         else:
-            self._publisher.silent(Quality.DISCONNECTED, self._timeline.now(), self._last_frame_t())
+            self._fall_silent(Quality.DISCONNECTED)
         self._counters.reached_hz = None
         self._enter(LinkState.DISCONNECTED, reason, next_attempt=None, reached_hz=None, parts_hz={}, notes=[])
 
@@ -185,6 +189,8 @@ class Link:
         self._in_session = True
         try:
             self._publisher.begin(self._next_epoch(), self._timeline)
+            if self._tap is not None:
+                self._tap.begin(self._clock.monotonic(), self._timeline.stamp, self._publisher)
             self._enter(LinkState.HANDSHAKING, "connected, waiting for the first frame", layout=None, notes=[])
             self._counters.begin()
             self._first_frame = True
@@ -201,11 +207,14 @@ class Link:
                 tick_s=robot.protocol.tick_s,
                 first_s=robot.protocol.handshake_s,
                 quiet_s=robot.protocol.quiet / robot.rate_hz if robot.rate_hz else 0.0,
+                tap=self._tap,
             )
             await session.run()
         finally:
             self._counters.end(self._gaps())
             self._in_session = False
+            if self._tap is not None:
+                self._tap.end(self._clock.monotonic())
             with anyio.CancelScope(shield=True):
                 await connection.aclose()
 
@@ -250,6 +259,8 @@ class Link:
     def _online(self, frame: Frame) -> None:
         """The first good frame of a session, or after a silence."""
         self._first_frame = False
+        if self._tap is not None:
+            self._tap.online()
         self._outcome = LinkState.ONLINE
         self._online_s = self._clock.monotonic()
         before = self._data.state
@@ -310,11 +321,18 @@ class Link:
 
     def _say_lost(self, quality: Quality, state: LinkState, reason: str) -> None:
         """Say on every topic that a link that was online is not any more."""
-        self._publisher.silent(quality, self._timeline.now(), self._last_frame_t())
+        self._fall_silent(quality)
         self._raise(EventKind.LINK_LOST, LinkState.ONLINE, state, reason)
         # What was under way when the session ended is lost, and nobody can count it.
         missed = Entry(EventKind.COMMAND_MISSED, CommandsMissed(), {"reason": reason})
         self._publisher.occurred((missed,), self._clock.monotonic())
+
+    def _fall_silent(self, quality: Quality) -> None:
+        """Say on every topic of the robot that no more values come."""
+        t_last, now_s = self._last_frame_t(), self._clock.monotonic()
+        if self._tap is not None:
+            self._tap.silent(quality, t_last, now_s)
+        self._publisher.silent(quality, self._timeline.stamp(now_s), t_last)
 
     def _last_frame_t(self) -> int | None:
         """When the last frame came, µs UTC."""
@@ -330,7 +348,9 @@ class Link:
             await anyio.sleep(1)
             self._follow_clock()
             publisher = self._publisher
-            publisher.expire(self._clock.monotonic())
+            now_s = self._clock.monotonic()
+            if publisher.expire(now_s) and self._tap is not None:
+                self._tap.expired(now_s)
             stats = self._counters.second(
                 self._clock.monotonic(),
                 publisher.bad_values,

@@ -16,6 +16,7 @@ from gateway.core.bus import Bus, Topic
 from gateway.core.clock import Clock
 from gateway.core.link import BROKEN_GROUPS, Link, announce_broken
 from gateway.core.settings import BrokenRobot, RobotSettings
+from gateway.core.tap import Tap
 from gateway.core.transport import Connector
 from gateway.errors import VendorError
 
@@ -59,6 +60,7 @@ class Links:
         clock: Both times.
         connector_of: How a robot is reached.
         delays: Makes a new series of delays between the attempts of a link.
+        tap_of: Makes what is shown every byte of a robot's sessions; None: nothing is.
     """
 
     def __init__(
@@ -68,8 +70,10 @@ class Links:
         clock: Clock,
         connector_of: Callable[[RobotSettings], Connector],
         delays: Backoff = backoff,
+        tap_of: Callable[[RobotSettings], Tap | None] | None = None,
     ) -> None:
         self._bus = bus
+        self._tap_of = tap_of
         self._clock = clock
         self._connector_of = connector_of
         self._delays = delays
@@ -156,7 +160,8 @@ class Links:
         broken = robot
         if isinstance(robot, RobotSettings):
             try:
-                return Link(robot, self._connector_of(robot), self._bus, self._clock, self._delays)
+                tap = None if self._tap_of is None else self._tap_of(robot)
+                return Link(robot, self._connector_of(robot), self._bus, self._clock, self._delays, tap)
             except (Exception, SystemExit) as error:  # noqa: BLE001 - a plugin's mistake costs its robot and no other
                 broken = _as_broken(robot, error)
         if isinstance(broken, BrokenRobot):

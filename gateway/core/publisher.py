@@ -17,10 +17,11 @@ from gateway.api.reader import Reader, ReadKey
 from gateway.api.readers import raw_values
 from gateway.api.record import Record
 from gateway.core.bus import Bus, FrameReading, FrameStream, Origin, Topic, ValueReading
-from gateway.core.clock import Timeline
+from gateway.core.clock import Stamps
 from gateway.core.controller_clock import ControllerClock
 from gateway.core.edges import EDGE_KEYS, Edge, EdgeFinder
 from gateway.core.parts import Parts
+from gateway.core.tap import Seqs
 
 _LOG = structlog.get_logger()
 
@@ -82,7 +83,7 @@ class Publisher:
         self._edge_sources = {key: frozenset(normaliser.sources(key)) for key in EDGE_KEYS}
         self._clock = clock
         self._last: FrameReading | None = None
-        self._timeline: Timeline | None = None
+        self._timeline: Stamps | None = None
         self._epoch = ""
         self._seq = 0
         self._layout: Table | None = None
@@ -105,7 +106,33 @@ class Publisher:
         """The groups that it has topics of."""
         return {*self._topics, "events", *(() if self._commands is None else ("commands",))}
 
-    def begin(self, epoch: str, timeline: Timeline) -> None:
+    @property
+    def epoch(self) -> str:
+        """The running epoch."""
+        return self._epoch
+
+    @property
+    def seqs(self) -> Seqs:
+        """The number of the last sample; by group, where frames bring the state in parts."""
+        return dict(self._part_seqs) if type(self._layout) is Record else self._seq
+
+    @property
+    def faults(self) -> Sequence[Fault]:
+        """The faults that stand, with the time since when."""
+        return self._edges.faults
+
+    def number(self, seqs: Seqs) -> None:
+        """Go on numbering behind what a recorded session had published: its replay numbers as it did."""
+        if isinstance(seqs, int):
+            self._seq = seqs
+        else:
+            self._part_seqs = dict(seqs)
+
+    def know(self, faults: Sequence[Fault]) -> None:
+        """These faults stood before the first status of a replay."""
+        self._edges.know(faults)
+
+    def begin(self, epoch: str, timeline: Stamps) -> None:
         """A session has begun: its samples have a new epoch, and nothing is known."""
         self._timeline = timeline
         self._parts.clear()
@@ -160,11 +187,17 @@ class Publisher:
         for entry in entries:
             self._bus.raise_event(self._commands, t, entry.kind, None, entry.data, entry.raw)
 
-    def expire(self, monotonic_s: float) -> None:
-        """Say which values have become too old, where frames bring the state in parts; called every second."""
+    def expire(self, monotonic_s: float) -> bool:
+        """Say which values have become too old, where frames bring the state in parts; called every second.
+
+        Returns:
+            Whether there were any.
+        """
         old = self._parts.drop_stale(monotonic_s)
-        if old and self._stream is not None and self._last is not None and self._timeline is not None:
-            self._say_parts(self._stream, self._last.frame, old, self._timeline.stamp(monotonic_s))
+        if not old or self._stream is None or self._last is None or self._timeline is None:
+            return False
+        self._say_parts(self._stream, self._last.frame, old, self._timeline.stamp(monotonic_s))
+        return True
 
     def silent(self, quality: Quality, t: int, t_last: int | None) -> None:
         """Say on every topic, once, that no more values come: all leaves null, with the time of the last frame.
@@ -239,7 +272,7 @@ class Publisher:
 
     def _take_parts(self, stream: FrameStream, frame: Frame, monotonic_s: float) -> None:
         """Publish the groups that a frame tells something of."""
-        t = cast("Timeline", self._timeline).stamp(monotonic_s)
+        t = cast("Stamps", self._timeline).stamp(monotonic_s)
         old = self._parts.drop_stale(monotonic_s)
         self._parts.take(frame, t, monotonic_s)
         self._say_parts(stream, frame, old | frame.values.keys(), t)

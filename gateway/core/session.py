@@ -11,6 +11,7 @@ import anyio
 from gateway.api.decoder import Decoder, Event, Frame, Refused, RefusedKind, Reject
 from gateway.api.vendor import OnStale
 from gateway.core.clock import Clock, deadline_s
+from gateway.core.tap import Tap
 from gateway.core.transport import Connection
 from gateway.errors import LinkError, LinkRefused, LinkStale
 
@@ -50,6 +51,7 @@ class Session:
         stale_s: Time without a good frame after which the session is stale.
         on_stale: Whether a stale session ends.
         clock: Gives the receive times.
+        tap: Is shown every byte, or None.
     """
 
     def __init__(
@@ -65,6 +67,7 @@ class Session:
         tick_s: float | None = None,
         first_s: float | None = None,
         quiet_s: float = 0.0,
+        tap: Tap | None = None,
     ) -> None:
         self._connection = connection
         self._decoder = decoder
@@ -77,6 +80,7 @@ class Session:
         self._quiet_s = quiet_s
         self._quiet_until_s = -math.inf
         self._now = clock.monotonic
+        self._tap = tap
         self._wake = anyio.Event()
         self._owed = [decoder.outgoing()]
         self._overdue = False  # the decoder had nothing to ask when it was due: it waits for an answer
@@ -133,6 +137,8 @@ class Session:
         while True:
             data = await self._connection.receive()
             at_s = self._now()
+            if self._tap is not None:
+                self._tap.received(data, at_s)
             events: Sequence[Event] = self._decoder.feed(data)
             if datagrams:
                 events = [*events, *self._decoder.end()]
@@ -167,13 +173,18 @@ class Session:
                 # Phase-locked: a late wake-up is caught up with, but never by more than one period.
                 due_s = max(due_s + self._period_s, now - self._period_s) if asked else now + self._period_s
             for data in filter(None, owed):  # each a send, and so a datagram, of its own
-                await self._connection.send(data)
+                await self._send(data)
             with anyio.CancelScope(deadline=deadline_s(max(due_s, self._quiet_until_s))):
                 await self._wake.wait()
 
+    async def _send(self, data: bytes) -> None:
+        if self._tap is not None:  # before it leaves: the answer may be there before the send returns
+            self._tap.sent(data, self._now())
+        await self._connection.send(data)
+
     async def _say(self, data: bytes) -> None:
         try:
-            await self._connection.send(data)
+            await self._send(data)
         except LinkError:
             return  # the controller is gone: nobody is left to be told
 

@@ -10,7 +10,7 @@ from typing import cast
 from aiohttp import web
 
 from gateway.api.describe import describe, group_schema
-from gateway.api.messages import Description, ExportInfo, RobotInfo
+from gateway.api.messages import Description, ExportInfo, RecorderInfo, RobotInfo
 from gateway.api.model import GROUPS, Link, LinkStats, Sample
 from gateway.api.vendor import Protocol
 from gateway.core.bus import Bus, Topic
@@ -30,9 +30,18 @@ class Cell:
         robots: As configured.
         bus: Where they are published.
         exports: Tells how the exporters do.
+        recorder: Tells how the recorder does; None: there is none.
     """
 
-    def __init__(self, robots: Iterable[Robot], bus: Bus, exports: Callable[[], list[ExportInfo]] = list) -> None:
+    def __init__(
+        self,
+        robots: Iterable[Robot],
+        bus: Bus,
+        *,
+        exports: Callable[[], list[ExportInfo]] = list,
+        recorder: Callable[[], RecorderInfo | None] = lambda: None,
+    ) -> None:
+        self._recorder = recorder
         self._robots = {robot.name: robot for robot in robots}
         self._exports = exports
         self.bus = bus
@@ -47,6 +56,11 @@ class Cell:
     def topics(self) -> Mapping[str, Topic]:
         """The topics of the bus that there are here, by name."""
         return self.bus.topics
+
+    @property
+    def recorder(self) -> RecorderInfo | None:
+        """How the recorder does; None: there is none, or not all of the cell may be seen."""
+        return self._recorder()
 
     @property
     def last_event(self) -> str:

@@ -12,10 +12,11 @@ import os
 import socket
 import stat
 import struct
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
-from contextlib import asynccontextmanager, contextmanager
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
+from contextlib import aclosing, asynccontextmanager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import anyio
 import msgspec
@@ -32,6 +33,8 @@ LONGEST_LINE = 65_536
 MOST_CONNECTIONS = 16
 # A client has so long for a whole line, and for taking an answer, in s.
 PATIENCE_S = 10.0
+# Who takes a stream may be busy with a disk.
+STREAM_PATIENCE_S = 60.0
 _NO_ROOM_S = 0.5
 _CREDENTIALS = struct.Struct("iii")  # pid, uid, gid
 
@@ -71,12 +74,25 @@ class _Named(msgspec.Struct):
 
 
 @dataclass(frozen=True, slots=True)
+class Streamed:
+    """The result of a command whose answer goes on: behind the line come bytes until the connection ends.
+
+    Args:
+        result: What stands in the line.
+        body: The bytes; closed when the client leaves or does not read.
+    """
+
+    result: object
+    body: AsyncIterator[bytes]
+
+
+@dataclass(frozen=True, slots=True)
 class Command:
     """One command.
 
     Args:
         request: What its line holds, tagged with `command`.
-        run: Carries it out; called with the request, gives the result; raises ControlError.
+        run: Carries it out; called with the request, gives the result or a `Streamed`; raises ControlError.
     """
 
     request: type[msgspec.Struct]
@@ -224,6 +240,10 @@ async def _serve(connection: socket.socket, commands: Mapping[str, Command], fre
             lines = _Lines(stream)
             while (line := await lines.next()) is not None:
                 answer = await _answer(line, commands, log)
+                streamed = answer.result if isinstance(answer, Done) else None
+                if isinstance(streamed, Streamed):
+                    await _stream(stream, streamed)
+                    break
                 with anyio.fail_after(PATIENCE_S):
                     await stream.send(msgspec.json.encode(answer) + b"\n")
             if lines.fault:
@@ -234,6 +254,16 @@ async def _serve(connection: socket.socket, commands: Mapping[str, Command], fre
         log.exception("control.failed")
     finally:
         free.release()
+
+
+async def _stream(stream: SocketStream, streamed: Streamed) -> None:
+    """Send an answer that goes on; a client that takes nothing for long is left."""
+    async with aclosing(cast("AsyncGenerator[bytes]", streamed.body)) as body:
+        with anyio.fail_after(PATIENCE_S):
+            await stream.send(msgspec.json.encode(Done(result=streamed.result)) + b"\n")
+        async for piece in body:
+            with anyio.fail_after(STREAM_PATIENCE_S):
+                await stream.send(piece)
 
 
 class _Lines:

@@ -17,6 +17,7 @@ from prometheus_client.registry import Collector
 from gateway import __version__
 from gateway.api.messages import ExportInfo, RobotInfo
 from gateway.api.model import LinkState, LinkStats
+from gateway.core.bus import Listener
 from gateway.server.access import cell_of
 from gateway.server.answers import parameters
 from gateway.server.cell import Cell
@@ -99,6 +100,7 @@ class CellCollector(Collector):
         yield from self._link_numbers(infos)
         yield from self._deliveries()
         yield from self._exports()
+        yield from self._recorder()
         tasks = GaugeMetricFamily(f"{_PREFIX}tasks", "Tasks of the event loop.")
         tasks.add_metric([], _n_tasks())
         yield tasks
@@ -145,7 +147,7 @@ class CellCollector(Collector):
         listeners = GaugeMetricFamily(f"{_PREFIX}subscribed_topics", "Topics that somebody reads.", labels=["robot"])
         for name in self._cell.robots:
             topics = (topic for topic in self._cell.topics.values() if topic.robot == name)
-            listeners.add_metric([name], sum(bool(topic.listeners) for topic in topics))
+            listeners.add_metric([name], sum(any(map(_subscribes, topic.listeners)) for topic in topics))
         yield listeners
         for name, text, field in _TRAFFIC:
             family = CounterMetricFamily(_PREFIX + name, text, labels=["door"])
@@ -175,6 +177,26 @@ class CellCollector(Collector):
         yield sent
         yield dropped
 
+    def _recorder(self) -> Iterator[Metric]:
+        """How the recorder does; nothing where there is none."""
+        info = self._cell.recorder
+        if info is None:
+            return
+        for name, text, count in (
+            ("recordings", "Recordings written.", info.recordings),
+            ("recordings_failed", "Recordings that could not be written.", info.failed),
+        ):
+            family = CounterMetricFamily(_PREFIX + name, text)
+            family.add_metric([], count)
+            yield family
+        for name, text, value in (
+            ("recording", "Whether a recording is being written.", float(info.recording is not None)),
+            ("recorder_ring_bytes", "Memory that the last seconds of all robots take.", info.ring_bytes),
+        ):
+            gauge = GaugeMetricFamily(_PREFIX + name, text)
+            gauge.add_metric([], value)
+            yield gauge
+
     def _lag(self) -> Metric:
         bounds = [*(str(bound) for bound in LAG_BOUNDS_S), "+Inf"]
         buckets = list(zip(bounds, map(float, accumulate(self._pulse.counts)), strict=True))
@@ -196,6 +218,11 @@ class CellCollector(Collector):
             shown = reason[:_LONGEST_REASON] if reason in known else OTHER_REASONS
             counts[shown] = counts.get(shown, 0) + count
         return counts
+
+
+def _subscribes(listener: Listener) -> bool:
+    """Whether a listener is somebody's subscription, and not a part of the gateway."""
+    return bool(getattr(listener, "is_subscriber", True))
 
 
 def _n_tasks() -> int:

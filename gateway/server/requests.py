@@ -164,7 +164,10 @@ class Requests:
         return messages.Result(id=request.id, events=events, missed=-1 if missed is None else missed)
 
     def _robots(self, request: messages.Robots) -> messages.Result:
-        return messages.Result(id=request.id, robots=self._cell.infos(), exports=self._cell.exports() or None)
+        cell = self._cell
+        return messages.Result(
+            id=request.id, robots=cell.infos(), exports=cell.exports() or None, recorder=cell.recorder
+        )
 
     def _describe(self, request: messages.Describe) -> messages.Result:
         topic = self._cell.topics.get(request.topic)

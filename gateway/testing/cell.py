@@ -9,7 +9,7 @@ Context managers for the test's own body, never fixtures: a fixture would close 
 from __future__ import annotations
 
 import socket
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from typing import cast
@@ -21,6 +21,8 @@ from gateway.app import Gateway, running
 from gateway.config import parse
 from gateway.config.printing import toml_value
 from gateway.core.registry import Registry
+from gateway.core.settings import RobotSettings
+from gateway.core.tap import Tap
 from gateway.sim.chaos import CALM, ChaosPlan
 from gateway.sim.scenario import Scenario
 from gateway.sim.server import VirtualController, serve
@@ -58,8 +60,10 @@ async def virtual_cell(
     keep: int = 0,
     settings: Mapping[str, object] | None = None,
     server: Mapping[str, object] | None = None,
+    recorder: Mapping[str, object] | None = None,
     simulated: msgspec.Struct | None = None,
     registry: Registry | None = None,
+    tap_of: Callable[[RobotSettings], Tap | None] | None = None,
 ) -> AsyncIterator[VirtualCell]:
     """Run virtual controllers and a gateway that reads them, all on free ports of this machine.
 
@@ -76,8 +80,10 @@ async def virtual_cell(
             that protocol's options.
         server: Further keys of the table `[server]`, such as `tokens`; it listens on a free port of this
             machine unless `listen` says otherwise.
+        recorder: Keys of the table `[recorder]`.
         simulated: Options of the virtual controllers; None: their defaults.
         registry: Where the plugin is found.
+        tap_of: Gives what is shown every byte of a robot's sessions; None: the recorder does.
 
     Raises:
         VendorError: The plugin or its virtual controller cannot be loaded.
@@ -106,6 +112,7 @@ async def virtual_cell(
         )
         doors = {"listen": "127.0.0.1:0", **(server or {})}
         text = "[server]\n" + "".join(f"{key} = {toml_value(value)}\n" for key, value in doors.items())
+        text += "[recorder]\n" + "".join(f"{key} = {toml_value(value)}\n" for key, value in (recorder or {}).items())
         for number, controller in enumerate(controllers, start=1):
             entry = {
                 "name": f"r{number}",
@@ -116,7 +123,7 @@ async def virtual_cell(
                 "port": controller.number_of(chosen, transport),
             }
             text += "\n[[robots]]\n" + "".join(f"{key} = {toml_value(value)}\n" for key, value in entry.items())
-        gateway = await stack.enter_async_context(running(parse(text, "virtual cell", registry)))
+        gateway = await stack.enter_async_context(running(parse(text, "virtual cell", registry), tap_of=tap_of))
         yield VirtualCell(gateway, controllers)
 
 

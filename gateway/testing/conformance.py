@@ -84,6 +84,7 @@ class Outcome:
 
 CHECKS: tuple[Check, ...] = (
     Check(table_checks.record_is_valid),
+    Check(table_checks.nothing_is_left_to_fill),
     Check(table_checks.folder_is_documented),
     Check(table_checks.tables_hold, of=("bytes",)),
     Check(table_checks.framing_holds, of=("bytes",)),

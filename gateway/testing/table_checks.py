@@ -18,6 +18,32 @@ from gateway.testing.subject import CheckFailed, Subject
 
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
 _README_LEAST = 500  # characters that a README with something to say has
+_TO_FILL = re.compile(r"\bFILL: (?P<what>.*?)[\s|.\"]*$")
+_FILLED = {".py", ".toml", ".md"}
+_WALK = (
+    "layouts.py",
+    "__init__.py",
+    "signals.py",
+    "vectors.toml",
+    "simulator.py",
+)  # what is filled first; the rest last
+
+
+def nothing_is_left_to_fill(subject: Subject) -> None:
+    """No line of the folder says FILL any more, as the lines of a new plugin do: each says what belongs there."""
+    order = {name: number for number, name in enumerate(_WALK)}
+    files = sorted(
+        (file for file in subject.folder.rglob("*") if file.suffix in _FILLED),
+        key=lambda file: (order.get(file.name, len(order)), file),
+    )
+    found = [
+        f"{file.relative_to(subject.folder)} line {number}: {line['what']}"
+        for file in files
+        for number, text in enumerate(file.read_text("utf-8", "replace").splitlines(), start=1)
+        if (line := _TO_FILL.search(text))
+    ]
+    if found:
+        raise CheckFailed("\n".join(found))
 
 
 def record_is_valid(subject: Subject) -> None:
@@ -94,6 +120,10 @@ def framing_holds(subject: Subject) -> None:
 def signals_compile(subject: Subject) -> None:
     """Every row names keys of the model and sources of the table, and its units convert."""
     signals = subject.protocol.signals
+    if not signals:
+        raise CheckFailed(
+            "the protocol has no signal row, so nothing of it is told: add a row for each key it can tell"
+        )
     for signal in signals:
         try:
             leaf(signal.key)

@@ -83,7 +83,7 @@ class _Row(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class _File(msgspec.Struct, forbid_unknown_fields=True):
-    vectors: list[_Row]
+    vectors: list[_Row] = []
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

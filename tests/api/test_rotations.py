@@ -10,7 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.api.rotations import POSE_FROM, pose_from_rpy, pose_without_rotation, quaternion_from_rpy
+from gateway.api.rotations import (
+    POSE_FROM,
+    pose_from_rotation_vector,
+    pose_from_rpy,
+    pose_without_rotation,
+    quaternion_from_rotation_vector,
+    quaternion_from_rpy,
+)
 
 Matrix = npt.NDArray[np.float64]
 
@@ -60,9 +67,40 @@ def test_the_order_of_the_angles_matters() -> None:
 def test_a_pose_keeps_its_position() -> None:
     assert pose_from_rpy(1, 2, 3, 0, 0, 0).position == [1, 2, 3]
     assert pose_from_rpy(1, 2, 3, 0, 0, 0).orientation == [0, 0, 0, 1]
-    assert set(POSE_FROM) == {"rpy_fixed_xyz"}
+    assert pose_from_rotation_vector(1, 2, 3, 0, 0, 0).position == [1, 2, 3]
+    assert set(POSE_FROM) == {"rpy_fixed_xyz", "rotation_vector"}
+
+
+@given(ANGLES, ANGLES, ANGLES)
+def test_a_rotation_vector_is_the_limit_of_many_small_turns(rx: float, ry: float, rz: float) -> None:
+    steps = 1 << 30  # squared 30 times: (1 + W / n) ** n, W the cross-product matrix of the vector
+    small = np.eye(3) + np.array([[0, -rz, ry], [rz, 0, -rx], [-ry, rx, 0]]) / steps
+    for _ in range(30):
+        small = small @ small
+    quaternion = quaternion_from_rotation_vector(rx, ry, rz) or []
+    np.testing.assert_allclose(matrix_of(quaternion), small, atol=1e-4)
+    assert math.hypot(*(part for part in quaternion if part is not None)) == pytest.approx(1)
+    assert (quaternion[3] or 0.0) >= 0
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_rotation_vector_along_an_axis_turns_about_it(axis: int) -> None:
+    for angle in (-4.0, -0.5, 1e-9, 0.0, 2.0, math.pi, 5.0):
+        vector = [angle if place == axis else 0.0 for place in range(3)]
+        found = quaternion_from_rotation_vector(vector[0], vector[1], vector[2]) or []
+        np.testing.assert_allclose(matrix_of(found), about(axis, angle), atol=1e-12)
+
+
+def test_no_rotation_at_all_is_the_unit_quaternion() -> None:
+    assert quaternion_from_rotation_vector(0, 0, 0) == [0, 0, 0, 1]
+    assert pose_from_rotation_vector(1, 2, 3, 0, 0, 0).orientation == [0, 0, 0, 1]
 
 
 def test_a_pose_of_unknown_rotation_has_no_orientation() -> None:
     pose = pose_without_rotation(1, 2, 3, 0.1, 0.2, 0.3)
     assert (pose.position, pose.orientation) == ([1, 2, 3], None)
+
+
+def test_a_vector_too_long_to_be_a_rotation_has_no_orientation() -> None:
+    assert quaternion_from_rotation_vector(1.7e308, -1.7e308, 0) is None
+    assert quaternion_from_rotation_vector(5e-324, 0, 0) == pytest.approx([0, 0, 0, 1])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from itertools import product
 
+import msgspec
 import pytest
 from rich.console import Console
 
@@ -60,6 +61,16 @@ def test_no_state_of_a_link_is_cut_at_any_width(width: int, name: str) -> None:
         assert cells[0] == name
         assert state.value in cells
         assert cells[-1] == safety.value
+
+
+def test_where_it_is_too_wide_the_longest_of_what_is_spoken_is_cut_to_its_vendor() -> None:
+    short, long = robot("r1", LinkState.ONLINE), robot("r2", LinkState.ONLINE)
+    long = msgspec.structs.replace(long, vendor="universal_robots", protocol="realtime")
+    wide = shown([short, long], latest("r1"), 120)
+    assert [line.split()[1] for line in wide[2:]] == ["rainbow:reqdata", "universal_robots:realtime"]
+    needed = max(map(len, (line.rstrip() for line in wide)))
+    narrow = shown([short, long], latest("r1"), needed - 1)
+    assert [line.split()[1] for line in narrow[2:]] == ["rainbow:reqdata", "universal_robots"]
 
 
 def test_a_narrow_terminal_leaves_out_the_least_important_columns_and_says_which() -> None:

@@ -25,7 +25,7 @@ _EVERYTHING = Scenario(
     "everything",
     "all that a robot of the demo goes through",
     (
-        _phase("idle", seconds=3.0),
+        _phase("idle", seconds=3.0),  # all cells begin in one process, which may be busy
         _phase("program runs", rate=1.0, program=ProgramState.RUNNING),
         _phase("program pauses", program=ProgramState.PAUSED),
         _phase("program runs", rate=1.0, program=ProgramState.RUNNING),
@@ -54,7 +54,7 @@ _FAST = {
     },
 }
 _IO: dict[str, object] = {"io_events": ["digital_in", "digital_out.*"]}
-# what is read, with which settings
+# what is read, with which settings; any other protocol as its rows tell, see below
 _READ: dict[tuple[str, str], dict[str, object]] = {
     ("rainbow", "reqdata"): _IO,
     ("fairino", "cnde"): _IO,
@@ -91,6 +91,32 @@ _CANNOT: dict[tuple[str, str], dict[str, str]] = {
         "fault.cleared": "the controller tells entries of its log, which do not go away",
     },
 }
+# kind -> the key that it follows from
+_FOLLOWS = {
+    "mode.changed": "status.operating_mode",
+    "power.changed": "status.power",
+    **dict.fromkeys(("motion.started", "motion.stopped"), "status.motion"),
+    **dict.fromkeys(("program.started", "program.paused", "program.stopped"), "status.program.state"),
+    "safety.changed": "safety.state",
+    **dict.fromkeys(("estop.pressed", "estop.released"), "status.e_stopped"),
+    **dict.fromkeys(("collision.detected", "collision.cleared"), "safety.collision"),
+    **dict.fromkeys(("fault.raised", "fault.cleared"), "status.faults"),
+    "io.changed": "io.",
+}
+
+
+def _add_protocols(registry: Registry) -> None:
+    """Add each protocol that the tables above say nothing of: it brings whatever its rows can tell."""
+    for name in registry.names():
+        for protocol in registry.vendor(name).protocols:
+            keys = [row.key for row in protocol.signals]
+            silent = [kind for kind, key in _FOLLOWS.items() if not any(one.startswith(key) for one in keys)]
+            _READ.setdefault((name, protocol.name), {} if "io.changed" in silent else _IO)
+            _CANNOT.setdefault((name, protocol.name), dict.fromkeys(silent, "no row tells it"))
+
+
+_REGISTRY = Registry()
+_add_protocols(_REGISTRY)
 _OF_LINK = {EventKind.LINK_ONLINE, EventKind.LINK_LOST, EventKind.LINK_INCOMPATIBLE}
 
 
@@ -102,7 +128,12 @@ def told() -> dict[tuple[str, str], list[Event]]:
     async def read(number: int, which: tuple[str, str]) -> None:
         vendor, protocol = which
         cell = virtual_cell(
-            vendor, protocol=protocol, scenario=_EVERYTHING, host=f"127.0.9.{number}", settings=_READ[which]
+            vendor,
+            protocol=protocol,
+            scenario=_EVERYTHING,
+            host=f"127.0.9.{number}",
+            settings=_READ[which],
+            registry=_REGISTRY,
         )
         async with cell as running:
             await anyio.sleep(_SECONDS + 1)

@@ -17,9 +17,10 @@ from anyio.abc import Process
 from anyio.streams.buffered import BufferedByteReceiveStream
 from jsonschema import Draft202012Validator
 
+from gateway.api import plain_schemas as schemas
 from gateway.api.model import GROUPS, Event
 from gateway.core.bus import Bus, FrameReading, Reading, Topic
-from gateway.server.foxglove import SUBPROTOCOLS, schemas
+from gateway.server.foxglove import SUBPROTOCOLS
 from gateway.testing.cell import virtual_cell
 
 FOREIGN = Path(__file__).parents[1] / "foreign" / "foxglove"

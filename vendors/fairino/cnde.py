@@ -53,7 +53,7 @@ TICK_S = 0.1
 _QUIET_TICKS = 2  # after stop, nothing may come for so long before the configuration is sent
 _STOP_TICKS = 5  # ticks until stop is repeated; over UDP, where the first may be lost, once more after the first tick
 PATIENCE_TICKS = {"udp": 5, "tcp": 50}  # the same of other steps: a datagram may be lost, a byte of TCP is only late
-_WRONG_IN_A_ROW = 5
+WRONG_IN_A_ROW = 5
 _STARTS = 3  # how often a refused start is tried again with a new configuration
 _MANY = 12  # names that are listed before the rest is counted
 
@@ -310,7 +310,7 @@ class CndeDecoder:
             self._numbers.take(raw[COUNTER_AT])
             return [Frame(raw, cast("Granted", self._granted).layout)]
         self._wrong += 1
-        if self._wrong >= _WRONG_IN_A_ROW:
+        if self._wrong >= WRONG_IN_A_ROW:
             self._restart()
         return [Reject(raw, "length", f"a data frame of {len(raw)} bytes, configured are {self._size}")]
 

@@ -8,6 +8,7 @@ from gateway.api.decoder import Event, Refused, Reject, Skipped
 from gateway.api.framing import FramedDecoder, Kind
 from gateway.api.vendor import Protocol
 from vendors.fairino.cnde import PATIENCE_TICKS, TICK_S, CndeOptions, make_decoders
+from vendors.fairino.cnde_observing import CndeObserver
 from vendors.fairino.cnde_states import ALL_STATES, granted
 from vendors.fairino.cnde_wire import COUNTER_AT, DATA, DELIMITED, FIRMWARE, MESSAGE, OUTGOING, frame, message
 from vendors.fairino.signals import SIGNALS
@@ -78,6 +79,7 @@ CNDE = Protocol(
     framing=FRAMING,
     signals=SIGNALS,
     options=CndeOptions,
+    make_observer=CndeObserver,
     make_decoders=make_decoders,
     tick_s=TICK_S,
     handshake_s=10.0,

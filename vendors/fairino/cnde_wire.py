@@ -84,3 +84,8 @@ def message(raw: bytes) -> Message:
     text = data[has_code:].decode("utf-8", "replace").strip("\0 \r\n")
     shown = "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text)
     return Message(data[0] if has_code and data else 1, shown)
+
+
+def asked_states(raw: bytes) -> tuple[str, ...]:
+    """The states that such a frame asks for."""
+    return tuple(raw[HEADER + 2 : -len(TAIL)].decode("ascii", "replace").split(","))

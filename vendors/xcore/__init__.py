@@ -22,6 +22,7 @@ EXTERNAL = Protocol(
     signals=external_signals.SIGNALS,
     options=external_options.ExternalOptions,
     make_reader=external.make_reader,
+    make_observer=external.make_observer,
     make_decoders=external.make_decoders,
     rate_hz=10.0,
     max_rate_hz=100.0,

@@ -193,5 +193,10 @@ def make_decoders(options: msgspec.Struct, rate_hz: float) -> DecoderFactory:
 
 def make_reader() -> Answers:
     """Make a decoder that only reads, with the default options; it must be told what was asked."""
-    options = ExternalOptions()
-    return Answers(options.suffix, options.axes)
+    return make_observer(ExternalOptions())
+
+
+def make_observer(options: msgspec.Struct) -> Answers:
+    """Make a decoder that reads the sessions of a robot with given options; it must be told what was asked."""
+    own = cast("ExternalOptions", options)
+    return Answers(own.suffix, own.axes)

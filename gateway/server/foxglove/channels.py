@@ -18,13 +18,14 @@ from functools import cache, lru_cache
 
 import msgspec
 
+from gateway.api import plain_schemas as schemas
 from gateway.api.describe import vendor_schema
 from gateway.api.model import Event, Sample
 from gateway.api.vendor import Protocol
 from gateway.core.bus import Reading, Topic
 from gateway.core.settings import RobotSettings
 from gateway.server.cell import Cell
-from gateway.server.foxglove import messages, payloads, schemas
+from gateway.server.foxglove import messages, payloads
 from gateway.server.foxglove.payloads import Same
 from gateway.server.wire import JSON, Cut
 

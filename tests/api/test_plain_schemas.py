@@ -10,14 +10,15 @@ import pytest
 from jsonschema import Draft202012Validator
 from msgspec import Meta
 
+from gateway.api import plain_schemas as schemas
 from gateway.api.describe import group_schema, vendor_schema
 from gateway.api.model import GROUPS, EventKind, Fault, Severity
+from gateway.api.plain_schemas import Schema
 from gateway.api.vendor import Protocol
 from gateway.core.bus import Bus
 from gateway.core.events import EventRing
 from gateway.core.registry import Registry
-from gateway.server.foxglove import payloads, schemas
-from gateway.server.foxglove.schemas import Schema
+from gateway.server.foxglove import payloads
 from tests.server.kit import T
 
 PLAIN = {"boolean", "integer", "number", "string", "object", "array"}
