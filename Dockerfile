@@ -11,7 +11,7 @@ RUN python -m venv tools && python -m venv --without-pip /opt/robot-gateway
 
 # What the gateway stands on changes seldom: a layer of its own. Only finished wheels: nothing is compiled.
 COPY pyproject.toml packaging/constraints.txt ./
-RUN python -c "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['project']['dependencies'], sep='\n')" \
+RUN python -c "import tomllib; p = tomllib.load(open('pyproject.toml', 'rb'))['project']; print(*p['dependencies'], *p['optional-dependencies']['nats'], sep='\n')" \
         > requirements.txt \
     && tools/bin/pip --python /opt/robot-gateway/bin/python install --only-binary :all: \
         --constraint constraints.txt --requirement requirements.txt

@@ -74,7 +74,7 @@ def packages(stage: Path, scratch: Path) -> None:
     constraints = ROOT / "packaging" / "constraints.txt"
     run(
         *pip, "install", "--target", str(site), "--no-compile", "--only-binary", ":all:",
-        "--constraint", str(constraints), str(wheel),
+        "--constraint", str(constraints), f"{wheel}[nats]",
     )  # fmt: skip
     shutil.rmtree(site / "bin", ignore_errors=True)
     for note in site.glob("*.dist-info/direct_url.json"):  # where this machine had the wheel
