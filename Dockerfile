@@ -9,11 +9,12 @@ WORKDIR /build
 # pip stays out of the environment that runs: it works on it from one of its own.
 RUN python -m venv tools && python -m venv --without-pip /opt/robot-gateway
 
-# What the gateway stands on changes seldom: a layer of its own. Only finished wheels: nothing is compiled.
+# What the gateway stands on changes seldom: a layer of its own. Only finished wheels, nothing is compiled; nkeys, plain
+# Python, has none.
 COPY pyproject.toml packaging/constraints.txt ./
 RUN python -c "import tomllib; p = tomllib.load(open('pyproject.toml', 'rb'))['project']; print(*p['dependencies'], *p['optional-dependencies']['nats'], sep='\n')" \
         > requirements.txt \
-    && tools/bin/pip --python /opt/robot-gateway/bin/python install --only-binary :all: \
+    && tools/bin/pip --python /opt/robot-gateway/bin/python install --only-binary :all: --no-binary nkeys \
         --constraint constraints.txt --requirement requirements.txt
 
 COPY README.md LICENSE ./

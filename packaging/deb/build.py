@@ -73,7 +73,7 @@ def packages(stage: Path, scratch: Path) -> None:
     site = stage / HOME / "lib" / PYTHON / "site-packages"
     constraints = ROOT / "packaging" / "constraints.txt"
     run(
-        *pip, "install", "--target", str(site), "--no-compile", "--only-binary", ":all:",
+        *pip, "install", "--target", str(site), "--no-compile", "--only-binary", ":all:", "--no-binary", "nkeys",
         "--constraint", str(constraints), f"{wheel}[nats]",
     )  # fmt: skip
     shutil.rmtree(site / "bin", ignore_errors=True)
