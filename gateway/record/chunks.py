@@ -89,7 +89,8 @@ def pack(chunks: Sequence[Chunk], faults: Iterable[Fault], opening: Sequence[Chu
         faults: What stood before the first.
         opening: The opening of their session, where it is over.
     """
-    packed = _COMPRESSOR.compress(_ENCODER.encode(chunks))
+    # A copy: the compressor shrinks a buffer of the largest size, and the rest of it could be used for nothing.
+    packed = bytes(memoryview(_COMPRESSOR.compress(_ENCODER.encode(chunks))))
     return Block(first_t=chunks[0].t, last_t=chunks[-1].t, faults=tuple(faults), opening=tuple(opening), packed=packed)
 
 
