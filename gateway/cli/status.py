@@ -12,7 +12,6 @@ from typing import Annotated
 import msgspec
 import typer
 
-from gateway.api.messages import RecorderInfo, RobotInfo
 from gateway.api.model import LinkState, Sample
 from gateway.cli.common import DEFAULT_URL, USAGE, Ca, TokenFile, Url, call, fail, tell, terminal, way
 from gateway.cli.measured import Measured
@@ -20,7 +19,7 @@ from gateway.cli.nats import Credentials, NatsUrl, PlantName, access_of
 from gateway.cli.view import INSECURE, export_lines, recorder_line, robots_table
 from gateway.cli.watch import watch as watch_cell
 from gateway.cli.why import explain
-from gateway.client import Client, Way, connect
+from gateway.client import CellInfo, Client, Way, connect
 
 
 def status(
@@ -78,8 +77,7 @@ def status(
 async def _once(gateway: Way, *, as_json: bool) -> None:
     async with connect(gateway) as client:
         _warn(client)
-        robots, recorder, latest = await _ask(client)
-        exports = await client.exports()
+        (robots, recorder, exports), latest = await _ask(client)
     if as_json:
         shown = [
             {
@@ -124,11 +122,13 @@ async def _why(gateway: Way, name: str) -> None:
         sys.stdout.write(f"{line}\n")
 
 
-async def _ask(client: Client) -> tuple[list[RobotInfo], RecorderInfo | None, dict[str, Sample]]:
-    robots, recorder = await client.cell()
-    wanted = [f"{robot.name}/{group}" for robot in robots for group in ("status", "safety") if group in robot.groups]
+async def _ask(client: Client) -> tuple[CellInfo, dict[str, Sample]]:
+    cell = await client.cell()
+    wanted = [
+        f"{robot.name}/{group}" for robot in cell.robots for group in ("status", "safety") if group in robot.groups
+    ]
     latest = await client.get(wanted) if wanted else []
-    return robots, recorder, {sample.topic: sample for sample in latest}
+    return cell, {sample.topic: sample for sample in latest}
 
 
 def _now_us() -> int:

@@ -11,12 +11,13 @@ only its message structs.
 
 from __future__ import annotations
 
-from gateway.client.connection import Client, Pushed, RequestError, connect
+from gateway.client.connection import CellInfo, Client, Pushed, RequestError, connect
 from gateway.client.following import Connected, Disconnected, Follower, Item, Refused, follow
 from gateway.client.typed import typed
 from gateway.client.way import ClientError, TrustError, Way, trusting, way_to
 
 __all__ = [
+    "CellInfo",
     "Client",
     "ClientError",
     "Connected",

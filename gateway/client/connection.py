@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from ssl import SSLContext
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import aiohttp
 import anyio
@@ -48,6 +48,20 @@ class RequestError(GatewayError):
         self.code = code
 
 
+class CellInfo(NamedTuple):
+    """What a gateway says of its cell, in one answer.
+
+    Attributes:
+        robots: Each with the state of its link.
+        recorder: How the recorder does; None: there is none to be seen.
+        exports: Where the cell is sent besides; empty: nowhere, or a token may not see all of it.
+    """
+
+    robots: list[messages.RobotInfo]
+    recorder: messages.RecorderInfo | None
+    exports: list[messages.ExportInfo]
+
+
 class Client:
     """A connection to a gateway; made by `connect`.
 
@@ -76,12 +90,12 @@ class Client:
 
     async def robots(self) -> list[messages.RobotInfo]:
         """Every robot with the state of its link."""
-        return (await self.cell())[0]
+        return (await self.cell()).robots
 
-    async def cell(self) -> tuple[list[messages.RobotInfo], messages.RecorderInfo | None]:
-        """Every robot with the state of its link, and how the recorder does; None: there is none to be seen."""
+    async def cell(self) -> CellInfo:
+        """Every robot with the state of its link, and how the recorder and the exporters do."""
         result = await self._ask(messages.Robots(id=next(self._ids)))
-        return _part(result.robots), result.recorder
+        return CellInfo(_part(result.robots), result.recorder, result.exports or [])
 
     async def get(self, topics: Sequence[str]) -> list[Sample]:
         """The latest samples of some topics, once."""
@@ -103,7 +117,7 @@ class Client:
 
     async def exports(self) -> list[messages.ExportInfo]:
         """Where the gateway sends what it reads besides; empty: nowhere, or a token may not see all of the cell."""
-        return (await self._ask(messages.Robots(id=next(self._ids)))).exports or []
+        return (await self.cell()).exports
 
     async def subscribe(
         self,
