@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from gateway.api import model, units
-from gateway.api.layout import Field
-from gateway.api.rotations import POSE_FROM, pose_without_rotation
+from gateway.api.layout import Field, Layout
+from gateway.api.rotations import QUATERNION_FROM
 from gateway.api.signals import Signal, find_source, leaf
 from gateway.api.words import Words, flag_expression
 
@@ -45,7 +45,12 @@ def row_expression(
         si, items = _channel_items(row, values, unit, nulls=nulls)
         names["Channels"] = model.Channels
         return f"Channels([{items}], {si!r})"
-    items_list = [_item(row, value, unit, goal.unit, goal.shape, nulls=nulls) for value in values]
+    each = [(unit, goal.unit)] * len(values)
+    if goal.shape == "array" and unit is not None and goal.unit is not None:
+        each = [*units.shares(unit, goal.unit, len(values))]
+    items_list = [
+        _item(row, value, own, si, goal.shape, nulls=nulls) for value, (own, si) in zip(values, each, strict=True)
+    ]
     if goal.shape in {"array", "bits"}:
         return f"[{', '.join(items_list)}]"
     if goal.shape in {"float", "int", "bool"} and len(items_list) == 1:
@@ -79,24 +84,25 @@ def _via_expression(
     function = f"via_{'_'.join((row.group, *row.path))}"
     names[function] = row.via
     call = f"{function}({', '.join(arguments)})"
-    refs = [value for source in row.sources for value in words.values(source)]
-    if row.calm is not None and not nulls and None not in refs:
-        _check_calm(row, words, options)
-        stirred = words.share(f"({' or '.join(map(str, refs))})")
-        return f"({call} if {stirred} else {row.calm()!r})"
     if nulls and checked and not row.partial:
         return f"(None if {' or '.join(f'{ref} is None' for ref in checked)} else {call})"
     return call
 
 
-def _check_calm(row: Signal, words: Words, options: Mapping[str, object]) -> None:
-    """What stands for `via` while every source is 0 is what `via` says then."""
-    fields = [find_source(words.layout, source)[0] for source in row.sources]
+def calm_expression(row: Signal, layout: Layout, options: Mapping[str, object]) -> str:
+    """The expression of a calm row while its sources are 0.
+
+    Raises:
+        ValueError: `via` says something else then.
+    """
+    fields = [find_source(layout, source)[0] for source in row.sources]
     zeros = [0 if field.count is None else [0] * field.elements for field in fields]
-    if row.via is not None and row.calm is not None:
-        told = row.via(*zeros, **{option: options[option] for option in row.options})
-        if told != row.calm() or type(told) is not type(row.calm()):
-            raise ValueError(f"{row.key}: of zeros {row.via.__name__} says {told!r}, calm says {row.calm()!r}")
+    if row.via is None or row.calm is None:
+        raise ValueError(f"{row.key}: calm stands for what a function says")
+    told = row.via(*zeros, **{option: options[option] for option in row.options})
+    if told != row.calm() or type(told) is not type(row.calm()):
+        raise ValueError(f"{row.key}: of zeros {row.via.__name__} says {told!r}, calm says {row.calm()!r}")
+    return repr(row.calm())
 
 
 def _pose_expression(
@@ -116,10 +122,13 @@ def _pose_expression(
     scaled = [_scaled(value, length, "m") for value in present[:3]] + [
         _scaled(value, angle, "rad") for value in present[3:]
     ]
-    function = f"pose_{row.rotation}"
-    names[function] = POSE_FROM[row.rotation] if row.rotation else pose_without_rotation
-    call = f"{function}({', '.join(scaled)})"
-    return f"(None if {' or '.join(f'{value} is None' for value in present)} else {call})" if nulls else call
+    orientation = "None"
+    if row.rotation:
+        orientation = f"quaternion_{row.rotation}({', '.join(scaled[3:])})"
+        names[f"quaternion_{row.rotation}"] = QUATERNION_FROM[row.rotation]
+    names["Pose"] = model.Pose
+    made = f"Pose([{', '.join(scaled[:3])}], {orientation})"
+    return f"(None if {' or '.join(f'{value} is None' for value in present)} else {made})" if nulls else made
 
 
 def _channel_items(row: Signal, values: Sequence[str | None], unit: str | None, *, nulls: bool) -> tuple[str, str]:

@@ -18,7 +18,7 @@ from gateway.api.decoder import Frame
 from gateway.api.model import Quality
 from gateway.api.reader import Reader, ReadWords
 from gateway.api.record import Record
-from gateway.api.rotations import POSE_FROM, pose_without_rotation
+from gateway.api.rotations import QUATERNION_FROM
 from gateway.api.signals import Signal, leaf, struct_inside
 
 _Values = Mapping[str, object]
@@ -176,14 +176,15 @@ def _pose_maker(row: Signal, source: str, unit: str | None) -> _Make:
     if unit is None or "|" not in unit:
         raise ValueError(f"{row.key}: a pose needs a source in `mm|deg` or the like, not {unit!r}")
     length, angle = (units.conversion(part, si) for part, si in zip(unit.split("|"), ("m", "rad"), strict=True))
-    pose = POSE_FROM[row.rotation] if row.rotation else pose_without_rotation
+    turn = QUATERNION_FROM[row.rotation] if row.rotation else None
 
     def make(values: _Values) -> object:
         told = values.get(source)
         if not isinstance(told, Sequence) or len(told) < _POSE or None in told[:_POSE]:
             return None
         x, y, z, a, b, c = told[:_POSE]
-        return pose(length(x), length(y), length(z), angle(a), angle(b), angle(c))
+        position = [length(x), length(y), length(z)]
+        return model.Pose(position, None if turn is None else turn(angle(a), angle(b), angle(c)))
 
     return make
 

@@ -57,18 +57,8 @@ def quaternion_from_rotation_vector(rx: float, ry: float, rz: float) -> list[flo
     return [rx * scale, ry * scale, rz * scale, w] if w >= 0 else [-rx * scale, -ry * scale, -rz * scale, -w]
 
 
-def pose_from_rotation_vector(x: float, y: float, z: float, rx: float, ry: float, rz: float) -> Pose:
-    """Make a pose of a position in m and a rotation vector in rad."""
-    return Pose([x, y, z], quaternion_from_rotation_vector(rx, ry, rz))
-
-
-# How a pose is made of six numbers, by the rotation that a signal row states.
-POSE_FROM: dict[Rotation, Callable[[float, float, float, float, float, float], Pose]] = {
-    "rpy_fixed_xyz": pose_from_rpy,
-    "rotation_vector": pose_from_rotation_vector,
+# How an orientation is made of three numbers in rad, by the rotation that a signal row states.
+QUATERNION_FROM: dict[Rotation, Callable[[float, float, float], list[float | None] | None]] = {
+    "rpy_fixed_xyz": quaternion_from_rpy,
+    "rotation_vector": quaternion_from_rotation_vector,
 }
-
-
-def pose_without_rotation(x: float, y: float, z: float, *_: float) -> Pose:
-    """Make a pose whose rotation is not known: its orientation is null."""
-    return Pose([x, y, z], None)

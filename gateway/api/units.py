@@ -56,6 +56,23 @@ def is_known(unit: str) -> bool:
     return all(part in _TO_SI for part in unit.split("|"))
 
 
+def shares(unit: str, canonical: str, count: int) -> list[tuple[str, str]]:
+    """Find the unit of each value of an array, beside the one that it becomes.
+
+    Args:
+        unit: Of a vendor's table; of several (`mm/s|deg/s`) each measures an equal share of the values, in order.
+        canonical: Of the model; of several, in the same order (`m/s, rad/s`).
+        count: How many values there are.
+
+    Raises:
+        ValueError: There are not as many units as in the model, or the values have no equal shares.
+    """
+    pairs = list(zip(unit.split("|"), canonical.split(", "), strict=False))
+    if len(pairs) != 1 + max(unit.count("|"), canonical.count(", ")) or count % len(pairs):
+        raise ValueError(f"{count} values in {unit!r} do not become an array in {canonical!r}")
+    return [pair for pair in pairs for _ in range(count // len(pairs))]
+
+
 def conversion(unit: str, canonical: str) -> Conversion:
     """Find the conversion from a vendor's unit to a canonical one.
 

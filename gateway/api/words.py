@@ -22,12 +22,7 @@ class Words:
         self._refs = {field.name: [next(names) for _ in range(field.present)] for field in self.fields}
         self.count = sum(field.present for field in self.fields)
         self.floats = [ref for field in self.fields if field.is_float for ref in self._refs[field.name]]
-        self.shared: dict[str, str] = {}  # what several expressions need, by the expression: the variable it is kept in
         self.opaque = [(self._refs[field.name][0], field.type) for field in self.fields if field.is_opaque]
-
-    def share(self, expression: str) -> str:
-        """The variable of an expression that is worked out once, before the group is built."""
-        return self.shared.setdefault(expression, f"s{len(self.shared)}")
 
     def whole(self, field: Field) -> list[str | None]:
         """The variable of each element; None for one that the frame does not carry."""

@@ -11,10 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.api.rotations import (
-    POSE_FROM,
-    pose_from_rotation_vector,
+    QUATERNION_FROM,
     pose_from_rpy,
-    pose_without_rotation,
     quaternion_from_rotation_vector,
     quaternion_from_rpy,
 )
@@ -67,8 +65,7 @@ def test_the_order_of_the_angles_matters() -> None:
 def test_a_pose_keeps_its_position() -> None:
     assert pose_from_rpy(1, 2, 3, 0, 0, 0).position == [1, 2, 3]
     assert pose_from_rpy(1, 2, 3, 0, 0, 0).orientation == [0, 0, 0, 1]
-    assert pose_from_rotation_vector(1, 2, 3, 0, 0, 0).position == [1, 2, 3]
-    assert set(POSE_FROM) == {"rpy_fixed_xyz", "rotation_vector"}
+    assert set(QUATERNION_FROM) == {"rpy_fixed_xyz", "rotation_vector"}
 
 
 @given(ANGLES, ANGLES, ANGLES)
@@ -93,12 +90,6 @@ def test_a_rotation_vector_along_an_axis_turns_about_it(axis: int) -> None:
 
 def test_no_rotation_at_all_is_the_unit_quaternion() -> None:
     assert quaternion_from_rotation_vector(0, 0, 0) == [0, 0, 0, 1]
-    assert pose_from_rotation_vector(1, 2, 3, 0, 0, 0).orientation == [0, 0, 0, 1]
-
-
-def test_a_pose_of_unknown_rotation_has_no_orientation() -> None:
-    pose = pose_without_rotation(1, 2, 3, 0.1, 0.2, 0.3)
-    assert (pose.position, pose.orientation) == ([1, 2, 3], None)
 
 
 def test_a_vector_too_long_to_be_a_rotation_has_no_orientation() -> None:

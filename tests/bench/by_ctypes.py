@@ -6,12 +6,13 @@ The conversions are the gateway's own expressions, so that only the reading diff
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, cast
 
 from gateway.api import model
 from gateway.api.compiler import _build, _tree
-from gateway.api.expressions import row_expression
+from gateway.api.expressions import calm_expression, row_expression
 from gateway.api.layout import STRINGS, TYPES, Field, Layout
 from gateway.api.signals import Signal, find_source
 from gateway.api.words import Words, wire_order
@@ -47,14 +48,22 @@ class Made:
         scope |= {f"{kind}_of": to_string for kind, to_string in STRINGS.items()}
         reads = [f"{', '.join(map(str, words.whole(field)[: field.present]))}{_reading(field)}" for field in fields]
         strings = [f"{ref} = {kind}_of({ref})" for ref, kind in words.opaque]
+        calm = [row for row in rows if row.calm is not None]
+        stirred = [ref for row in calm for source in row.sources for ref in words.refs(source)]
+
+        def expression(row: Signal) -> str:
+            made = row_expression(row, words, scope, options, nulls=False)
+            return f"({made} if stirred else {calm_expression(row, layout, options)})" if row in calm else made
+
         groups = []
         for group in dict.fromkeys(row.group for row in rows):
-            own = [row for row in rows if row.group == group]
-            tree = _tree(own, lambda row: row_expression(row, words, scope, options, nulls=False))
+            tree = _tree([row for row in rows if row.group == group], expression)
             groups.append(_build(cast("type[Any]", model.GROUPS[group].struct), tree, scope))
-        shared = [f"{name} = {expression}" for expression, name in words.shared.items()]
+        scope |= {"isfinite": math.isfinite}
+        check = f"if not isfinite(sum(({', '.join(words.floats)},))): return None"
+        looks = [f"stirred = {' or '.join(dict.fromkeys(stirred))}"] if stirred else []
         self.read = _compiled(scope, reads, "None")
-        self.converted = _compiled(scope, reads + strings + shared, ", ".join(groups))
+        self.converted = _compiled(scope, [*reads, check, *strings, *looks], ", ".join(groups))
 
 
 def _reading(field: Field) -> str:

@@ -49,7 +49,7 @@ def _taken(plan: Plan, server: AbstractContextManager[tuple[Process, int]], dial
     with server as (_, port), running(module("listeners", port, dialect, CLIENTS, "latency")) as clients:
         assert clients.line() == b"ready"
         time.sleep(plan.warm_s)
-        clients.ask("?")
+        clients.ask("new")
         time.sleep(plan.window_s)
         seen = msgspec.json.decode(clients.ask("?"), type=Seen)
     assert len(seen.taken_s) == len(QUANTILES), "no sample came"

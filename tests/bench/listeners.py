@@ -2,11 +2,13 @@
 
     python -m tests.bench.listeners PORT DIALECT COUNT latency|check
 
-It says `ready` when each has its first sample, and for each line that it is told what it saw since the last one.
+It says `ready` when each has its first sample, and for each line that it is told what it saw since the last one; what
+it saw before a line `new` is forgotten.
 """
 
 from __future__ import annotations
 
+import gc
 import math
 import os
 import select
@@ -14,7 +16,7 @@ import socket
 import struct
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import msgspec
 
@@ -87,40 +89,58 @@ def _relay_frame() -> tuple[int, int]:
 
 
 class Stamps:
-    """How long the samples of all clients were under way."""
+    """How long the samples of all clients were under way.
+
+    What comes is kept as it is, and read when somebody asks: reading a message of one client would make those of the
+    others wait, and a message that says more would look as if it had been under way for longer.
+    """
 
     def __init__(self) -> None:
         self.seen = Seen()
-        self._taken_s: list[float] = []
+        self._come: list[tuple[bytes, float]] = []
+        self._bare: list[tuple[bytes, float]] = []
         self._frame_size, self._stamp_at = _relay_frame()
 
     def take(self, data: bytes, now_s: float, _client: int) -> None:
         """Take a message of the gateway."""
-        message = _STAMPS(data)
-        self.seen.missed += message.op == "missed"
-        if message.op == "data" and isinstance(message.samples, list):
-            sent = [sample.data.position[0] for sample in message.samples if sample.data.position]
-            self._taken_s += [now_s - degrees * _DEG for degrees in sent if degrees is not None]
+        self._come.append((data, now_s))
 
     def take_bare(self, data: bytes, now_s: float) -> bytes:
         """Take bytes of the relay; returns what is not a whole frame yet."""
         whole = len(data) - len(data) % self._frame_size
-        for at in range(self._stamp_at, whole, self._frame_size):
-            self._taken_s.append(now_s - struct.unpack_from("<d", data, at)[0])
+        self._bare.append((data[:whole], now_s))
         return data[whole:]
 
     def told(self) -> Seen:
         """What was seen since the last time."""
-        seen, taken_s = self.seen, sorted(self._taken_s)
-        self.seen, self._taken_s = Seen(), []
+        taken_s = sorted([*self._of_messages(), *self._of_bare()])
+        seen, self.seen = self.seen, Seen()
+        self.forget()
         seen.samples = len(taken_s)
         seen.taken_s = [taken_s[min(len(taken_s) - 1, int(len(taken_s) * share))] for share in QUANTILES if taken_s]
         return seen
 
+    def forget(self) -> None:
+        """Forget what came so far."""
+        self._come, self._bare = [], []
+
+    def _of_messages(self) -> Iterator[float]:
+        for data, now_s in self._come:
+            message = _STAMPS(data)
+            self.seen.missed += message.op == "missed"
+            for sample in message.samples if message.op == "data" and isinstance(message.samples, list) else ():
+                if sample.data.position and sample.data.position[0] is not None:
+                    yield now_s - sample.data.position[0] * _DEG
+
+    def _of_bare(self) -> Iterator[float]:
+        for data, now_s in self._bare:
+            for at in range(self._stamp_at, len(data), self._frame_size):
+                yield now_s - struct.unpack_from("<d", data, at)[0]
+
     @property
     def n_samples(self) -> int:
-        """How many came so far."""
-        return len(self._taken_s)
+        """How many messages came so far."""
+        return len(self._come) + len(self._bare)
 
 
 class Numbers:
@@ -157,6 +177,10 @@ class Numbers:
         """Bare bytes have no numbers."""
         self.n_samples += 1
         return data[:0]
+
+    def forget(self) -> None:
+        """What came so far is the beginning that the next is compared with."""
+        self.seen, self.n_samples = Seen(), 0
 
     def told(self) -> Seen:
         """What was seen since the last time."""
@@ -198,6 +222,17 @@ def _read_frames(sock: socket.socket, data: bytes, take: Callable[[bytes], None]
     return data[end:]
 
 
+def _answered(looking: Stamps | Numbers) -> bool:
+    """Answer a line of the standard input; whether there was one."""
+    word = os.read(0, 4096)
+    if word == b"new\n":
+        looking.forget()
+    if word:
+        sys.stdout.buffer.write(msgspec.json.encode(looking.told()) + b"\n")
+        sys.stdout.flush()
+    return bool(word)
+
+
 def run(port: int, dialect: str, count: int, kind: str) -> None:
     """Connect, say so, and look until the standard input ends."""
     looking: Stamps | Numbers = Stamps() if kind == "latency" else Numbers()
@@ -211,14 +246,13 @@ def run(port: int, dialect: str, count: int, kind: str) -> None:
     by_fd = {sock.fileno(): sock for sock in socks}
     for fd in (0, *by_fd):
         poller.register(fd, select.EPOLLIN)
+    gc.disable()  # its pauses would be taken for the server's
     ready, until_s = False, time.monotonic() + _PATIENCE_S
     while True:
         for fd, _ in poller.poll(0.5):
             if fd == 0:
-                if not os.read(0, 4096):
+                if not _answered(looking):
                     return
-                sys.stdout.buffer.write(msgspec.json.encode(looking.told()) + b"\n")
-                sys.stdout.flush()
                 continue
             sock = by_fd[fd]
             try:

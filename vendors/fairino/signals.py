@@ -7,8 +7,6 @@ number of program lines (one byte), positions of external axes (no unit), a stop
 
 from __future__ import annotations
 
-from math import pi
-
 from gateway.api.model import (
     Channels,
     FunctionKind,
@@ -25,7 +23,6 @@ from vendors.fairino.faults import FAULT_FIELDS, faults, in_error
 
 Six = list[float]
 
-_DEG = pi / 180
 _FULL_NAME = 20  # bytes of the program's name on port 8083
 _DRAGGING = 4  # program_state of the CNDE table
 _ENABLED = 1  # rbtEnableState
@@ -152,12 +149,6 @@ def soft_limit(joint: int, external_axis: int) -> bool:
     return bool(joint or external_axis)
 
 
-def linear_and_angular(values: Six) -> Six:
-    """Three values in mm/s and three in deg/s, in m/s and rad/s."""
-    x, y, z, a, b, c = values
-    return [x * 1e-3, y * 1e-3, z * 1e-3, a * _DEG, b * _DEG, c * _DEG]
-
-
 def linear_speed(values: list[float]) -> float:
     """The first of a linear and an angular speed, mm/s to m/s."""
     return values[0] * 1e-3
@@ -254,8 +245,8 @@ SIGNALS = (
     Signal("joints.target_current", "targetJointCurrent"),
     Signal("tcp.target_pose", "targetTCPPos", rotation="rpy_fixed_xyz"),
     Signal("tcp.flange_pose", "flange_cur_pos", rotation="rpy_fixed_xyz"),
-    Signal("tcp.twist", "actual_TCP_Speed", linear_and_angular),
-    Signal("tcp.target_twist", "target_TCP_Speed", linear_and_angular),
+    Signal("tcp.twist", "actual_TCP_Speed"),
+    Signal("tcp.target_twist", "target_TCP_Speed"),
     Signal("tcp.speed", "actual_TCP_CmpSpeed", linear_speed),
     Signal("wrench.raw_force", "ft_sensor_raw_data", force),
     Signal("wrench.raw_torque", "ft_sensor_raw_data", torque),

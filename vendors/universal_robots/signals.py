@@ -144,11 +144,6 @@ def last_three(values: Numbers) -> Numbers:
     return values[3:]
 
 
-def as_it_is(values: Numbers) -> Numbers:
-    """Three numbers in m/s and three in rad/s."""
-    return values
-
-
 def magnitude(values: Numbers) -> float | None:
     """The length of the first three of six numbers; none where it is too large for a number."""
     length = hypot(*values[:3])
@@ -176,8 +171,8 @@ SIGNALS = (
     Signal("joints.target_current", "I_target"),
     Signal("tcp.pose", "tool_vector_actual", rotation="rotation_vector"),
     Signal("tcp.target_pose", "tool_vector_target", rotation="rotation_vector"),
-    Signal("tcp.twist", "TCP_speed_actual", as_it_is),
-    Signal("tcp.target_twist", "TCP_speed_target", as_it_is),
+    Signal("tcp.twist", "TCP_speed_actual"),
+    Signal("tcp.target_twist", "TCP_speed_target"),
     Signal("tcp.speed", "TCP_speed_actual", magnitude),
     Signal("wrench.force", "TCP_force", first_three),
     Signal("wrench.torque", "TCP_force", last_three),
