@@ -183,7 +183,7 @@ def _pose_maker(row: Signal, source: str, unit: str | None) -> _Make:
         if not isinstance(told, Sequence) or len(told) < _POSE or None in told[:_POSE]:
             return None
         x, y, z, a, b, c = told[:_POSE]
-        position = [length(x), length(y), length(z)]
+        position: list[float | None] = [length(x), length(y), length(z)]
         return model.Pose(position, None if turn is None else turn(angle(a), angle(b), angle(c)))
 
     return make

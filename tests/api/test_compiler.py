@@ -100,7 +100,7 @@ def test_a_function_takes_raw_values_and_options() -> None:
     assert found.tool_id == 133
 
 
-@pytest.mark.parametrize(("word", "fault", "calls"), [(0, [], 0), (128, ["7"], 1)])
+@pytest.mark.parametrize(("word", "fault", "calls"), [(0, [], 0), (0x8000_0003, [], 0), (128, ["7"], 1)])
 def test_a_calm_row_calls_its_function_only_where_a_source_is_not_zero(word: int, fault: list[str], calls: int) -> None:
     called = []
 
@@ -114,6 +114,32 @@ def test_a_calm_row_calls_its_function_only_where_a_source_is_not_zero(word: int
     assert isinstance(found, model.Status)
     assert [one.code for one in found.faults or []] == fault
     assert len(called) == calls
+
+
+@pytest.mark.parametrize(("word", "faults"), [(0, 0), (128, 1)])
+def test_a_calm_row_says_the_same_beside_a_value_that_is_not_finite(word: int, faults: int) -> None:
+    calm = Signal("status.faults", "word.bit", lambda bit: [model.Fault("7")] * bit, calm=list)
+    found, quality = read({"word": word, "speed": math.nan}, calm, Signal("status.speed_override", "speed"))
+    assert isinstance(found, model.Status)
+    assert (len(found.faults or []), found.speed_override, quality) == (faults, None, Quality.BAD)
+    assert found.faults is not None
+
+
+def test_an_array_of_two_units_has_an_equal_share_of_each() -> None:
+    twisted = Layout(
+        name="twisted",
+        size=24,
+        source="x",
+        fields=(Field(name="twist", offset=0, type="f32", count=6, unit="mm/s|deg/s"),),
+    )
+    values = [1000.0, 2000.0, math.nan, 180.0, 90.0, 0.0]
+    reader = compiled(Signal("tcp.twist", "twist"), layout=twisted)
+    found, quality = reader.read(Frame(twisted.encode({"twist": values}), twisted))
+    assert isinstance(found, model.Tcp)
+    assert found.twist is not None
+    assert found.twist[2] is None
+    assert [*found.twist[:2], *found.twist[3:]] == pytest.approx([1.0, 2.0, math.pi, math.pi / 2, 0.0])
+    assert quality is Quality.BAD
 
 
 def test_what_is_said_of_zeros_must_be_what_the_function_says() -> None:

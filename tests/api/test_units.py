@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.api.units import conversion, is_known
+from gateway.api.units import conversion, is_known, shares
 
 
 @pytest.mark.parametrize(
@@ -46,6 +46,17 @@ def test_an_unknown_unit_is_named_with_the_known_ones() -> None:
 @pytest.mark.parametrize(("unit", "known"), [("mm|deg", True), ("deg", True), ("mm|furlong", False), ("", False)])
 def test_a_pose_is_known_by_both_parts(unit: str, *, known: bool) -> None:
     assert is_known(unit) is known
+
+
+def test_the_values_of_an_array_have_equal_shares_of_its_units() -> None:
+    assert shares("deg", "rad", 2) == [("deg", "rad")] * 2
+    assert shares("mm/s|deg/s", "m/s, rad/s", 4) == [("mm/s", "m/s")] * 2 + [("deg/s", "rad/s")] * 2
+
+
+@pytest.mark.parametrize(("unit", "si", "count"), [("mm|deg", "m", 6), ("mm", "m, rad", 6), ("mm|deg", "m, rad", 5)])
+def test_units_that_do_not_share_an_array_are_refused(unit: str, si: str, count: int) -> None:
+    with pytest.raises(ValueError, match=f"{count} values in '.*' do not become an array in '{si}'"):
+        shares(unit, si, count)
 
 
 @given(st.floats(-1e6, 1e6))
