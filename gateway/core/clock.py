@@ -53,10 +53,6 @@ class Stamps(Protocol):
         """The time of a monotonic time in s."""
         ...
 
-    def now(self) -> int:
-        """The time of now."""
-        ...
-
 
 class Timeline:
     """Maps monotonic receive times to UTC; never backwards inside an epoch.

@@ -368,7 +368,7 @@ class Link:
         if not jump_us:
             return
         if jump_us < 0:
-            self._publisher.set_back(self._next_epoch())
+            self._publisher.set_back(self._next_epoch(), self._clock.monotonic())
             for topic in self._own.values():
                 topic.begin_epoch()
         due = self._data.next_attempt

@@ -138,13 +138,14 @@ class Publisher:
         self._parts.clear()
         self._renew(epoch)
 
-    def set_back(self, epoch: str) -> None:
+    def set_back(self, epoch: str, monotonic_s: float) -> None:
         """The wall clock was set back inside a session: a new epoch begins, and what is known is said again in it."""
         last, told = self._last, self._stream is not None
         self._renew(epoch)
         if self._timeline is not None and last is not None and told and type(last.frame.layout) is Record:
             self._parts.restamp(self._timeline.stamp)
-            self._say_parts(self._new_stream(last.frame), last.frame, self._parts.told, self._timeline.now())
+            t = self._timeline.stamp(monotonic_s)
+            self._say_parts(self._new_stream(last.frame), last.frame, self._parts.told, t)
 
     @property
     def layout(self) -> Table | None:

@@ -76,6 +76,8 @@ class Session:
         self._period_s = period_s or tick_s
         self._first_s = max(first_s or 0.0, stale_s)
         self._stale_s = stale_s
+        self._lazy_s = stale_s * _LAZY_SHARE
+        self._watchdog = anyio.CancelScope()
         self._on_stale = on_stale
         self._quiet_s = quiet_s
         self._quiet_until_s = -math.inf
@@ -132,29 +134,34 @@ class Session:
 
     async def _read_under(self, watchdog: anyio.CancelScope) -> None:
         """Read; every good frame moves the deadline of the watchdog on."""
-        lazy_s = self._stale_s * _LAZY_SHARE
-        datagrams = self._connection.datagrams
-        while True:
-            data = await self._connection.receive()
-            at_s = self._now()
-            if self._tap is not None:
-                self._tap.received(data, at_s)
-            events: Sequence[Event] = self._decoder.feed(data)
-            if datagrams:
-                events = [*events, *self._decoder.end()]
-            self._note(len(data), events, at_s, self._now() - at_s)
-            for event in events:
-                if isinstance(event, Frame):
-                    if not lazy_s < watchdog.deadline - at_s < self._stale_s + _WHOLE_MS:
-                        watchdog.deadline = deadline_s(at_s + self._stale_s)
-                elif isinstance(event, Refused):
-                    raise LinkRefused(event.reason, event.kind)
-            owed = self._decoder.outgoing()
-            if self._overdue and self._quiet_s:
-                self._quiet_until_s = at_s + self._quiet_s
-            if owed or (self._overdue and not self._quiet_s):
-                self._owed.append(owed)
-                self._wake.set()
+        self._watchdog = watchdog
+        await self._connection.deliver(self._take)
+
+    def _take(self, data: bytes) -> None:
+        """Decode what has come, and say what it was.
+
+        Raises:
+            LinkRefused: The controller will never send what is wanted.
+        """
+        at_s = self._now()
+        if self._tap is not None:
+            self._tap.received(data, at_s)
+        events: Sequence[Event] = self._decoder.feed(data)
+        if self._connection.datagrams:
+            events = [*events, *self._decoder.end()]
+        self._note(len(data), events, at_s, self._now() - at_s)
+        for event in events:
+            if isinstance(event, Frame):
+                if not self._lazy_s < self._watchdog.deadline - at_s < self._stale_s + _WHOLE_MS:
+                    self._watchdog.deadline = deadline_s(at_s + self._stale_s)
+            elif isinstance(event, Refused):
+                raise LinkRefused(event.reason, event.kind)
+        owed = self._decoder.outgoing()
+        if self._overdue and self._quiet_s:
+            self._quiet_until_s = at_s + self._quiet_s
+        if owed or (self._overdue and not self._quiet_s):
+            self._owed.append(owed)
+            self._wake.set()
 
     async def _ask(self) -> None:
         """Send what the decoder owes: at once what it answers, at the period what it asks. The only sender."""

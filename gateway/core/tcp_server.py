@@ -281,7 +281,7 @@ class _Call(TcpConnection):
         self._silence.deadline = self._deadline_s()
 
     async def receive(self) -> bytes:
-        """Wait for bytes; see `Connection`."""
+        """Wait for bytes; see `Pulled`."""
         while True:
             with anyio.CancelScope(deadline=self._deadline_s()) as self._silence:
                 data = await super().receive()

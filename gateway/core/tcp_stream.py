@@ -1,7 +1,7 @@
-"""A TCP connection to a controller as the loop's own protocol: reading goes on by itself.
+"""A TCP connection to a controller as the loop's own protocol: what comes is taken where the loop has read it.
 
-anyio's stream stops and starts the reading around each receive, which is two changes of the poll and two further turns
-of the loop for every frame (ADR 0021).
+anyio's stream stops and starts the reading around each receive, and wakes a task for it: two changes of the poll and
+three further turns of the loop for every frame (ADR 0021).
 """
 
 from __future__ import annotations
@@ -30,9 +30,11 @@ class TcpStream(asyncio.Protocol):
     def __init__(self, describe: Callable[[BaseException], str]) -> None:
         self._describe = describe
         self._transport: asyncio.Transport
-        self._data = b""
+        self._data = b""  # what came while nobody took it
+        self._take: Callable[[bytes], None] | None = None
+        self._over: asyncio.Future[None] | None = None
+        self._failure: BaseException | None = None
         self._ended: LinkClosed | None = None
-        self._news: asyncio.Future[None] | None = None
         self._is_full = self._is_lost = False
         self._writable = asyncio.Event()
         self._writable.set()
@@ -42,12 +44,18 @@ class TcpStream(asyncio.Protocol):
         self._transport = cast("asyncio.Transport", transport)
 
     def data_received(self, data: bytes) -> None:
-        """Keep bytes for the next `receive`."""
+        """Hand bytes on, or keep them for who takes them next."""
+        if self._take is not None:
+            try:
+                self._take(data)
+            except BaseException as error:  # noqa: BLE001 - raised again where `deliver` is awaited
+                self._failure = error
+                self._stop()
+            return
         self._data = self._data + data if self._data else data
         if len(self._data) > _MOST_WAITING:
             self._is_full = True
             self._transport.pause_reading()
-        self._tell()
 
     def eof_received(self) -> bool:
         """The controller sends no more; the connection is closed by its owner."""
@@ -69,18 +77,22 @@ class TcpStream(asyncio.Protocol):
         """It does again."""
         self._writable.set()
 
-    async def receive(self) -> bytes:
-        """Wait for bytes; what came before the end comes before the error."""
-        while not self._data:
-            if self._ended is not None:
-                raise self._ended
-            self._news = asyncio.get_running_loop().create_future()
-            await self._news
-        data, self._data = self._data, b""
-        if self._is_full:
-            self._is_full = False
-            self._transport.resume_reading()
-        return data
+    async def deliver(self, take: Callable[[bytes], None]) -> None:
+        """Hand on what comes, at once; see `gateway.core.transport.Connection`. What came before comes first."""
+        if self._data:
+            data, self._data = self._data, b""
+            if self._is_full:
+                self._is_full = False
+                self._transport.resume_reading()
+            take(data)
+        if self._ended is None and self._failure is None:
+            self._take, self._over = take, asyncio.get_running_loop().create_future()
+            try:
+                await self._over
+            finally:
+                self._take = None
+        failure, self._failure = self._failure, None
+        raise failure or self._ended or LinkClosed("the connection is closed")
 
     async def send(self, data: bytes) -> None:
         """Send bytes, once those before have found room."""
@@ -99,8 +111,10 @@ class TcpStream(asyncio.Protocol):
 
     def _end(self, why: LinkClosed) -> None:
         self._ended = self._ended or why
-        self._tell()
+        self._stop()
 
-    def _tell(self) -> None:
-        if self._news is not None and not self._news.done():
-            self._news.set_result(None)
+    def _stop(self) -> None:
+        """Hand on nothing more."""
+        self._take = None
+        if self._over is not None and not self._over.done():
+            self._over.set_result(None)

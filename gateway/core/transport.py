@@ -6,6 +6,7 @@ import asyncio
 import errno
 import os
 import socket
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -38,11 +39,14 @@ class Connection(Protocol):
 
     @property
     def datagrams(self) -> bool:
-        """Whether each receive gives one whole datagram: a frame never goes on in the next."""
+        """Whether what is handed on is one whole datagram each time: a frame never goes on in the next."""
         ...
 
-    async def receive(self) -> bytes:
-        """Wait for bytes.
+    async def deliver(self, take: Callable[[bytes], None]) -> None:
+        """Hand on what comes, as it comes, until cancelled; it never returns.
+
+        Args:
+            take: Is called with the bytes. What it raises is raised here, and nothing more is handed on.
 
         Raises:
             LinkClosed: The connection has ended.
@@ -60,6 +64,23 @@ class Connection(Protocol):
     async def aclose(self) -> None:
         """Close the connection."""
         ...
+
+
+class Pulled(ABC):
+    """The part of a `Connection` that is read piece by piece."""
+
+    @abstractmethod
+    async def receive(self) -> bytes:
+        """Wait for the next bytes.
+
+        Raises:
+            LinkClosed: The connection has ended.
+        """
+
+    async def deliver(self, take: Callable[[bytes], None]) -> None:
+        """Hand on what comes; see `Connection`."""
+        while True:
+            take(await self.receive())
 
 
 class Connector(Protocol):
@@ -143,7 +164,7 @@ class TcpClient(HoldsNothing):
         return stream
 
 
-class TcpConnection:
+class TcpConnection(Pulled):
     """A TCP connection that the controller has opened."""
 
     datagrams = False
@@ -152,7 +173,7 @@ class TcpConnection:
         self._stream = stream
 
     async def receive(self) -> bytes:
-        """Wait for bytes; see `Connection`."""
+        """Wait for bytes; see `Pulled`."""
         try:
             return await self._stream.receive(RECEIVE_BYTES)
         except anyio.EndOfStream:

@@ -10,7 +10,15 @@ from typing import cast
 import anyio
 import anyio.lowlevel
 
-from gateway.core.transport import CONNECT_TIMEOUT_S, Connection, HoldsNothing, address_text, describe, is_refusal
+from gateway.core.transport import (
+    CONNECT_TIMEOUT_S,
+    Connection,
+    HoldsNothing,
+    Pulled,
+    address_text,
+    describe,
+    is_refusal,
+)
 from gateway.errors import LinkClosed
 
 # Datagrams that may wait to be read: seconds of the fastest controller. Beyond, the oldest are dropped.
@@ -47,7 +55,7 @@ class UdpClient(HoldsNothing):
         return UdpConnection(protocol)
 
 
-class UdpConnection:
+class UdpConnection(Pulled):
     """One open UDP socket, connected to its controller."""
 
     datagrams = True
@@ -56,7 +64,7 @@ class UdpConnection:
         self._protocol = protocol
 
     async def receive(self) -> bytes:
-        """Wait for a datagram; see `Connection`."""
+        """Wait for a datagram; see `Pulled`."""
         protocol = self._protocol
         if not protocol.waiting:
             protocol.news.clear()

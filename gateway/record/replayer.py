@@ -29,10 +29,6 @@ class RecordedTime:
         """µs UTC."""
         return self.t
 
-    def now(self) -> int:
-        """µs UTC."""
-        return self.t
-
 
 class Replayer:
     """One robot of a recording.
@@ -98,7 +94,7 @@ class Replayer:
             self._publisher.begin(chunk.epoch, self._time)
         elif chunk.epoch != self._epoch:
             self._epoch = chunk.epoch
-            self._publisher.set_back(chunk.epoch)
+            self._publisher.set_back(chunk.epoch, at_s)
         events = self.read(chunk)
         if chunk.seqs is not None and (events or chunk.kind == "silent"):
             self._publisher.number(chunk.seqs)

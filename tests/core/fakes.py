@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import selectors
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterable
 
 import anyio
 
-from gateway.core.transport import Connection
+from gateway.core.transport import Connection, Pulled
 from gateway.errors import LinkClosed
 
 EPOCH_US = 1_700_000_000_000_000
@@ -62,7 +63,25 @@ class LoopClock:
         return EPOCH_US + int(self.monotonic() * 1e6) + self.set_by_us
 
 
-class FakeConnection:
+class _EnoughError(Exception):
+    """One piece is all that was wanted."""
+
+
+async def received(connection: Connection) -> bytes:
+    """The next piece; what comes after it waits."""
+    pieces: list[bytes] = []
+
+    def take(data: bytes) -> None:
+        pieces.append(data)
+        raise _EnoughError
+
+    with contextlib.suppress(_EnoughError):
+        await connection.deliver(take)
+    assert len(pieces) == 1
+    return pieces[0]
+
+
+class FakeConnection(Pulled):
     """A connection whose other end is a function: what it gets is answered after a delay, or never.
 
     Args:

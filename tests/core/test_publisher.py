@@ -6,7 +6,7 @@ from typing import cast
 
 import anyio
 import msgspec
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
@@ -374,7 +374,7 @@ def test_a_clock_that_is_set_back_leaves_what_is_known_and_none_of_it_for_longer
     bench.tell(100.0, pos=[1.0])
     bench.clock.set_by_us = -50_000_000
     assert bench.at(100.5).timeline.follow() == -50_000_000
-    bench.publisher.set_back("e2")
+    bench.publisher.set_back("e2", 100.5)
     bench.tell(101.0, vel=[2.0])
     assert bench.latest("joints").data == joints(position=1.0, velocity=2.0)
     assert [(sample.epoch, sample.seq) for sample in bench.of("joints")] == [("e1", 1), ("e2", 1), ("e2", 2)]
@@ -565,7 +565,7 @@ class Story:
             if bench.timeline.follow() < 0:
                 self.set_back = True
                 self.epochs += 1
-                bench.publisher.set_back(f"e{self.epochs}")
+                bench.publisher.set_back(f"e{self.epochs}", now_s)
         else:
             self.told_s.clear()
             bench.silent(now_s)
@@ -583,6 +583,7 @@ class Story:
 
 
 @given(STEPS, st.sampled_from([0.5, 1.0, 2.0]))
+@example([(0, {}), (0, "back"), (0, "slew"), (0, {})], 0.5)
 def test_whatever_happens_time_and_seq_never_go_back_inside_an_epoch_and_no_value_is_too_old(
     steps: list[tuple[int, Told | str]], stale_s: float
 ) -> None:

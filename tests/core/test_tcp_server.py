@@ -22,7 +22,7 @@ from gateway.core.tcp_server import CALL_TIMEOUT_S, MOST_IN_A_TURN, MOST_NAMED, 
 from gateway.core.transport import Connection, TcpClient
 from gateway.core.udp import UdpClient
 from gateway.errors import LinkClosed
-from tests.core.fakes import run_jumping
+from tests.core.fakes import received, run_jumping
 
 CONTROLLER = "127.0.0.2"
 STRANGER = "127.0.0.9"
@@ -88,7 +88,7 @@ async def connected(server: TcpServer) -> Connection:
 async def read_once(server: TcpServer) -> bytes:
     connection = await connected(server)
     try:
-        return await connection.receive()
+        return await received(connection)
     finally:
         await connection.aclose()
 
@@ -100,7 +100,7 @@ async def test_the_controllers_call_is_a_connection_on_which_the_gateway_asks() 
             await connection.send(b"ask")
             assert await heard(controller) == b"ask"
             controller.send(b"answer")
-            assert await connection.receive() == b"answer"
+            assert await received(connection) == b"answer"
             assert not connection.datagrams
             raw = connection._stream._raw_socket  # type: ignore[attr-defined]
             assert raw.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
@@ -157,7 +157,7 @@ async def test_strangers_that_call_during_a_session_are_refused_at_once() -> Non
                     assert server.rejects == {"foreign_peer": number}
             assert open_sockets() == before
             controller.send(b"still here")
-            assert await connection.receive() == b"still here"
+            assert await received(connection) == b"still here"
             await connection.aclose()
 
 
@@ -208,7 +208,7 @@ def test_a_controller_that_calls_again_ends_the_silent_session() -> None:
             start_s = anyio.current_time()
             newest = call(server)
             with pytest.raises(LinkClosed, match=r"^the controller has called again$"):
-                await before.receive()
+                await received(before)
             assert anyio.current_time() - start_s == pytest.approx(0, abs=0.01)
             await before.aclose()
             after = await server.connect()
@@ -231,7 +231,7 @@ def test_a_session_that_waits_for_bytes_is_ended_too() -> None:
 
             async def receive() -> None:
                 with pytest.raises(LinkClosed, match="has called again"):
-                    await before.receive()
+                    await received(before)
                 ended.append(anyio.current_time())
 
             tasks.start_soon(receive)
@@ -257,7 +257,7 @@ def test_a_controller_that_calls_without_end_does_not_end_the_session_that_works
                 calls.append(call(server))
                 if number % 50 == 0:  # each 0.5 s
                     speaking.send(b"x")
-                    assert await connection.receive() == b"x"
+                    assert await received(connection) == b"x"
                 await anyio.sleep(0.01)
             assert open_sockets() == before + len(calls) + 1  # the newest is held
             assert [one.recv(1) for one in calls[:-1]] == [b""] * (len(calls) - 1)
@@ -286,7 +286,7 @@ def test_each_session_has_its_time_however_often_the_controller_calls() -> None:
             for _ in range(5):
                 connection = await server.connect()
                 with pytest.raises(LinkClosed, match=r"called again|closed the connection"):
-                    await connection.receive()
+                    await received(connection)
                 await connection.aclose()
             assert anyio.current_time() - start_s == pytest.approx(5 * QUIET_S, abs=0.1)
             tasks.cancel_scope.cancel()
@@ -308,11 +308,11 @@ def test_a_second_call_that_was_hung_up_ends_no_session(resets: bool) -> None:  
                     second.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
                 second.close()
                 with anyio.move_on_after(60):
-                    await connection.receive()
+                    await received(connection)
                     pytest.fail("nothing came")
                 assert server._held is None
                 controller.send(b"still here")
-                assert await connection.receive() == b"still here"
+                assert await received(connection) == b"still here"
                 await connection.aclose()
 
     run_jumping(look)
@@ -325,7 +325,7 @@ async def test_a_receive_that_is_cancelled_while_another_call_waits_is_cancelled
             with call(server):
                 await until(lambda: server._held is not None)
                 with anyio.move_on_after(0.01) as scope:
-                    await connection.receive()
+                    await received(connection)
                 assert scope.cancelled_caught
                 controller.close()
             await connection.aclose()
@@ -707,7 +707,7 @@ async def test_a_controller_that_reboots_in_a_flood_of_strangers_is_taken_prompt
         half_open = call(server)
         connection = await connected(server)
         half_open.send(b"the last before the reboot")
-        assert await connection.receive() == b"the last before the reboot"
+        assert await received(connection) == b"the last before the reboot"
 
         def flood() -> list[socket.socket]:
             return [call(server, f"127.0.2.{number % 250 + 1}") for number in range(300)]
@@ -716,7 +716,7 @@ async def test_a_controller_that_reboots_in_a_flood_of_strangers_is_taken_prompt
         strangers = await anyio.to_thread.run_sync(flood)
         rebooted = await anyio.to_thread.run_sync(call, server)
         with pytest.raises(LinkClosed, match="has called again"), anyio.fail_after(5):
-            await connection.receive()
+            await received(connection)
         await connection.aclose()
         again = await connected(server)
         await again.send(b"ask")

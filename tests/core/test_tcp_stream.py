@@ -10,6 +10,7 @@ import pytest
 
 from gateway.core.transport import Connection, TcpClient
 from gateway.errors import LinkClosed
+from tests.core.fakes import received
 
 
 @asynccontextmanager
@@ -38,7 +39,7 @@ async def connected() -> AsyncIterator[tuple[Connection, anyio.abc.SocketStream]
 async def test_bytes_go_both_ways() -> None:
     async with connected() as (connection, controller):
         await controller.send(b"frame")
-        assert await connection.receive() == b"frame"
+        assert await received(connection) == b"frame"
         await connection.send(b"question")
         assert await controller.receive() == b"question"
 
@@ -49,27 +50,27 @@ async def test_what_comes_while_nobody_waits_is_kept() -> None:
             await controller.send(part)
         got = b""
         while len(got) < len(b"onetwothree"):
-            got += await connection.receive()
+            got += await received(connection)
         assert got == b"onetwothree"
 
 
 async def test_a_receive_that_is_given_up_loses_nothing() -> None:
     async with connected() as (connection, controller):
         with anyio.move_on_after(0.01) as scope:
-            await connection.receive()
+            await received(connection)
         assert scope.cancelled_caught
         await controller.send(b"late")
-        assert await connection.receive() == b"late"
+        assert await received(connection) == b"late"
 
 
 async def test_the_last_bytes_come_before_the_end() -> None:
     async with connected() as (connection, controller):
         await controller.send(b"last")
         await controller.aclose()
-        assert await connection.receive() == b"last"
+        assert await received(connection) == b"last"
         for _ in range(2):
             with pytest.raises(LinkClosed, match="the controller closed the connection"):
-                await connection.receive()
+                await received(connection)
 
 
 async def test_a_reset_says_so_to_who_reads_and_to_who_sends() -> None:
@@ -78,7 +79,7 @@ async def test_a_reset_says_so_to_who_reads_and_to_who_sends() -> None:
         raw.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
         await controller.aclose()
         with pytest.raises(LinkClosed, match="connection reset by the controller"):
-            await connection.receive()
+            await received(connection)
         with pytest.raises(LinkClosed):
             await connection.send(b"question")
 
@@ -91,7 +92,7 @@ async def test_a_reader_that_is_slow_slows_the_controller_down_and_loses_nothing
             await anyio.sleep_forever()
         n_bytes = 0
         while n_bytes < size:
-            data = await connection.receive()
+            data = await received(connection)
             assert len(data) < size // 2
             n_bytes += len(data)
     assert n_bytes == size
@@ -110,4 +111,4 @@ async def test_a_connection_can_be_closed_twice_and_tells_no_more() -> None:
         await connection.aclose()
         await connection.aclose()
         with pytest.raises(LinkClosed):
-            await connection.receive()
+            await received(connection)

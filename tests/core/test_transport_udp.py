@@ -8,6 +8,7 @@ import pytest
 from gateway.core.transport import TcpClient
 from gateway.core.udp import UdpClient
 from gateway.errors import LinkClosed
+from tests.core.fakes import received
 
 
 def closed_port(kind: socket.SocketKind) -> int:
@@ -32,7 +33,7 @@ async def test_each_receive_is_one_whole_datagram(controller: socket.socket) -> 
         assert data == b"hello"
         for answer in (b"one", b"two", b"x" * 9000):
             controller.sendto(answer, gateway)
-        assert [await connection.receive() for _ in range(3)] == [b"one", b"two", b"x" * 9000]
+        assert [await received(connection) for _ in range(3)] == [b"one", b"two", b"x" * 9000]
         assert connection.datagrams
         await connection.aclose()
 
@@ -44,9 +45,9 @@ async def test_datagrams_of_others_never_arrive(controller: socket.socket) -> No
         _, gateway = controller.recvfrom(100)
         other.sendto(b"wrong", gateway)
         controller.sendto(b"right", gateway)
-        assert await connection.receive() == b"right"
+        assert await received(connection) == b"right"
         with anyio.move_on_after(0.05):
-            pytest.fail(f"received {await connection.receive()!r}")
+            pytest.fail(f"received {await received(connection)!r}")
         await connection.aclose()
 
 
@@ -54,7 +55,7 @@ async def test_a_closed_port_is_told_in_words() -> None:
     connection = await UdpClient("127.0.0.1", closed_port(socket.SOCK_DGRAM)).connect()
     await connection.send(b"hello")
     with anyio.fail_after(2), pytest.raises(LinkClosed, match="nothing listens on that port") as caught:
-        await connection.receive()
+        await received(connection)
     assert caught.value.refused
     with pytest.raises(LinkClosed):
         await connection.send(b"again")
@@ -78,7 +79,7 @@ async def test_a_closed_connection_gives_nothing_more(controller: socket.socket)
         connection = await UdpClient(*controller.getsockname()).connect()
         await connection.aclose()
         with pytest.raises(LinkClosed):
-            await connection.receive()
+            await received(connection)
 
 
 def test_the_peer_says_that_it_is_udp() -> None:

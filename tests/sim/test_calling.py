@@ -16,6 +16,7 @@ from gateway.core.transport import Connection
 from gateway.sim import calling
 from gateway.sim.server import SimulatorError, serve
 from gateway.sim.simulator import Port, Simulator, VirtualRobot
+from tests.core.fakes import received
 
 
 class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -72,7 +73,7 @@ async def asked(connection: Connection, data: bytes, size: int) -> bytes:
     answer = b""
     with anyio.fail_after(5):
         while len(answer) < size:
-            answer += await connection.receive()
+            answer += await received(connection)
     return answer
 
 
