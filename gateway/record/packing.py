@@ -89,16 +89,19 @@ class Packer:
                 await anyio.sleep(self._gather_s)
                 self._more = anyio.Event()
                 while self._waiting:
-                    batch = self._waiting[:_BATCH]
-                    del self._waiting[:_BATCH]
-                    work = partial(_pack, [closed for closed, _ in batch], own)
-                    await anyio.to_thread.run_sync(work, limiter=limiter)
-                    for closed, done in batch:
-                        self._n_bytes -= closed.n_bytes
-                        done()
+                    await self._pack_some(limiter, own)
         finally:
             self._is_running = False
             self._waiting, self._n_bytes = [], 0
+
+    async def _pack_some(self, limiter: anyio.CapacityLimiter, own: zstandard.ZstdCompressor) -> None:
+        batch = self._waiting[:_BATCH]
+        del self._waiting[:_BATCH]
+        work = partial(_pack, [closed for closed, _ in batch], own)
+        await anyio.to_thread.run_sync(work, limiter=limiter)
+        for closed, done in batch:
+            self._n_bytes -= closed.n_bytes
+            done()
 
 
 def _pack(blocks: list[Closed], own: zstandard.ZstdCompressor) -> None:
