@@ -11,7 +11,7 @@ import zstandard
 from gateway.api.model import Fault, Quality
 
 Kind = Literal["begin", "received", "sent", "silent", "expired", "end"]
-# Fast: the ring is compressed on the loop, and frames of robots that stand still shrink at any level.
+# Fast: the rings are compressed all the time, and frames of robots that stand still shrink at any level.
 _LEVEL = 1
 _PARAMETERS = zstandard.ZstdCompressionParameters.from_level(_LEVEL, write_checksum=True, write_content_size=True)
 
@@ -76,21 +76,32 @@ class Block(msgspec.Struct, frozen=True, kw_only=True):
         return _DECODER.decode(zstandard.ZstdDecompressor().decompress(self.packed))
 
 
-_COMPRESSOR = zstandard.ZstdCompressor(compression_params=_PARAMETERS)
+def compressor() -> zstandard.ZstdCompressor:
+    """A compressor: two threads must not use one at the same time."""
+    return zstandard.ZstdCompressor(compression_params=_PARAMETERS)
+
+
+_COMPRESSOR = compressor()
 _ENCODER = msgspec.msgpack.Encoder()
 _DECODER = msgspec.msgpack.Decoder(list[Chunk])
 
 
-def pack(chunks: Sequence[Chunk], faults: Iterable[Fault], opening: Sequence[Chunk]) -> Block:
+def pack(
+    chunks: Sequence[Chunk],
+    faults: Iterable[Fault],
+    opening: Sequence[Chunk],
+    own: zstandard.ZstdCompressor | None = None,
+) -> Block:
     """Compress some chunks.
 
     Args:
         chunks: In order; at least one.
         faults: What stood before the first.
         opening: The opening of their session, where it is over.
+        own: The compressor of the thread that calls; None: it is the main thread.
     """
     # A copy: the compressor shrinks a buffer of the largest size, and the rest of it could be used for nothing.
-    packed = bytes(memoryview(_COMPRESSOR.compress(_ENCODER.encode(chunks))))
+    packed = bytes(memoryview((own or _COMPRESSOR).compress(_ENCODER.encode(chunks))))
     return Block(first_t=chunks[0].t, last_t=chunks[-1].t, faults=tuple(faults), opening=tuple(opening), packed=packed)
 
 

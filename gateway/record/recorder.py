@@ -29,6 +29,7 @@ from gateway.record.dump import Asked, Dump, Opened, Trigger, name_of, words_of
 from gateway.record.feed import Feed, Sink
 from gateway.record.filing import Filing
 from gateway.record.mcapfile import PART
+from gateway.record.packing import Packer
 from gateway.record.ring import Ring
 from gateway.record.settings import RecorderSettings
 from gateway.record.spool import Begin, End, Message, Outcome, Raw, Said
@@ -74,6 +75,7 @@ class Recorder:
         self._clock = clock
         self._robots = robots
         self._rings: dict[str, Ring] = {}
+        self._packer = Packer()
         self._told = ToldLog(settings.ring_s)
         self._sinks: list[Sink] = []
         self._dump: Dump | None = None
@@ -103,7 +105,7 @@ class Recorder:
             self.forget(robot)
             if self._dump is not None:
                 self._dump.leave(robot)
-        ring = self._rings[robot] = Ring(robot, self._settings.ring_s, self._settings.ring_bytes)
+        ring = self._rings[robot] = Ring(robot, self._settings.ring_s, self._settings.ring_bytes, self._packer)
         ring.readers.append(self)
         return ring
 
@@ -177,6 +179,7 @@ class Recorder:
         if self._settings.directory is not None:
             await self._prepared(self._settings.directory, None)
         async with anyio.create_task_group() as tasks:
+            tasks.start_soon(self._packer.run)
             tasks.start_soon(self._close_old_blocks)
             while True:
                 await self._wanted.wait()

@@ -10,13 +10,16 @@ import msgspec
 
 from gateway.api.model import Fault, Quality
 from gateway.core.tap import Told
-from gateway.record.chunks import Block, Chunk, Kind, Silence, pack
+from gateway.record.chunks import Block, Chunk, Kind, Silence
+from gateway.record.packing import Closed, Packer
 
 # A block is closed when it spans so long or holds so much.
 BLOCK_S = 1.0
 BLOCK_BYTES = 128 * 1024
 # What a session may exchange before its first good frame; of one that never comes so far the oldest is forgotten.
 OPENING_BYTES = 256 * 1024
+# What a chunk takes in memory besides its bytes, roughly.
+_CHUNK_BYTES = 128
 
 
 class Reader(Protocol):
@@ -34,16 +37,19 @@ class Ring:
         robot: Its name.
         seconds: How long it is kept, in s.
         n_bytes: How much memory the compressed blocks may take.
+        packer: Compresses full blocks while the session goes on; None: they are compressed as they are closed.
 
     Attributes:
-        readers: Who is shown each block as it is closed.
+        readers: Who is shown each block when it has been compressed.
         dropped: How many blocks were dropped before their time, for want of room.
     """
 
-    def __init__(self, robot: str, seconds: float, n_bytes: int) -> None:
+    def __init__(self, robot: str, seconds: float, n_bytes: int, packer: Packer | None = None) -> None:
         self.robot = robot
         self._keep_s = seconds
         self._most_bytes = n_bytes
+        self._packer = packer
+        self._waiting: deque[Closed] = deque()  # behind the blocks
         self._blocks: deque[tuple[float, Block]] = deque()  # with the monotonic time of their last chunk, s
         self._n_bytes = 0
         self._open: list[Chunk] = []
@@ -120,17 +126,42 @@ class Ring:
     def close_old_block(self, now_s: float) -> None:
         """Close the block that is being written if it began long ago, monotonic: nothing may come for hours."""
         if self._open and now_s - self._first_s >= BLOCK_S:
-            self.close_block()
+            self._close()
 
     def close_block(self) -> None:
-        """Close the block that is being written, if there is one."""
-        if not self._open:
-            return
-        block = pack(self._open, self._open_faults, self._open_opening)
+        """Close the block that is being written, if there is one; the readers have everything then."""
+        if self._open:
+            self._set_aside()
+        self._pack_waiting()
+
+    def _close(self) -> None:
+        """Close the block that is being written, in no time: the frame that has filled it has not been read yet."""
+        closed = self._set_aside()
+        if self._packer is None or not self._packer.take(closed, self._keep_packed):
+            self._pack_waiting()
+
+    def _set_aside(self) -> Closed:
+        n_bytes = self._open_bytes + _CHUNK_BYTES * len(self._open)
+        closed = Closed(self._open, self._open_faults, self._open_opening, self._last_s, n_bytes)
         self._open, self._open_bytes = [], 0
-        self._blocks.append((self._last_s, block))
+        self._waiting.append(closed)
+        return closed
+
+    def _pack_waiting(self) -> None:
+        """Compress what waits here and now; what the packer still has of it, it finds done."""
+        for closed in self._waiting:
+            closed.pack()
+        self._keep_packed()
+
+    def _keep_packed(self) -> None:
+        """Keep what has been compressed, in order."""
+        while self._waiting and (block := self._waiting[0].block) is not None:
+            self._keep(self._waiting.popleft().last_s, block)
+
+    def _keep(self, last_s: float, block: Block) -> None:
+        self._blocks.append((last_s, block))
         self._n_bytes += block.n_bytes
-        while self._last_s - self._blocks[0][0] > self._keep_s:
+        while last_s - self._blocks[0][0] > self._keep_s:
             self._n_bytes -= self._blocks.popleft()[1].n_bytes
         while self._n_bytes > self._most_bytes and self.shorten():
             pass
@@ -152,7 +183,7 @@ class Ring:
         if self._is_opening:
             self._keep_opening(chunk)
         if self._open_bytes >= BLOCK_BYTES or at_s - self._first_s >= BLOCK_S:
-            self.close_block()
+            self._close()
 
     def _keep_opening(self, chunk: Chunk) -> None:
         self._opening.append(chunk)
