@@ -10,6 +10,10 @@ BENCH ?=
 SECONDS ?= 60
 TARGETS ?=
 DOCKER ?= docker
+# How many processes run tests; the time-outs of the tests are meant for two on two cores.
+PROCESSES ?= 2
+# Hundreds of tests start the gateway: where images of Python forbid it to keep what it compiles, each would compile it anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help demo test check lint bench soak generated screenshots image deb fuzz clean
 
@@ -25,8 +29,9 @@ $(STAMP): pyproject.toml packaging/constraints.txt
 demo: $(STAMP) ## Virtual robots, the gateway on them, live data: nothing else is needed
 	@$(BIN)/robot-gateway demo
 
-test: $(STAMP) ## All tests
-	$(BIN)/pytest
+test: $(STAMP) ## All tests: much of their time is waiting, so several at a time, then those that need the machine alone
+	$(BIN)/pytest -m 'not alone' --numprocesses $(PROCESSES) --dist loadfile --no-loadscope-reorder
+	$(BIN)/pytest -m alone
 
 lint: $(STAMP) ## Format, lint, types and import rules, without the tests
 	$(BIN)/ruff format --check .

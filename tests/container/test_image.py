@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import shutil
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -27,8 +28,12 @@ OPEN = '[server]\nlisten = "0.0.0.0:8765"\n'
 
 
 @pytest.fixture(scope="module")
-def docker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Engine]:
-    with engine(tmp_path_factory.mktemp("engine")) as made:
+def docker() -> Iterator[Engine]:
+    # podman takes no path of more than 50 characters for what it runs: pytest's own folders may be longer
+    with (
+        tempfile.TemporaryDirectory(prefix="rgw-", ignore_cleanup_errors=True) as folder,
+        engine(Path(folder)) as made,
+    ):
         yield made
 
 

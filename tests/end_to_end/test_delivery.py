@@ -28,6 +28,7 @@ from tests.end_to_end.load_clients import RATE_HZ, Report
 from tests.end_to_end.load_faults import Rude
 from tests.server.kit import BOOT, Talk, cell, publish, raise_event, running_door, talking
 
+pytestmark = pytest.mark.alone
 SOAK_S = float(os.environ.get("SOAK_SECONDS", "0"))
 RUN_S = SOAK_S or 4.0
 STORM_S = 10.0 if SOAK_S else 2.0

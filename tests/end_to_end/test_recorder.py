@@ -31,6 +31,7 @@ from gateway.sim.simulator import Simulator
 from gateway.testing.cell import free_port
 from tests.end_to_end.test_delivery import cpu_s, memory_kib, process
 
+pytestmark = pytest.mark.alone
 SOAK_S = float(os.environ.get("SOAK_SECONDS", "0"))
 RUN_S = min(SOAK_S, 60.0) or 4.0
 PERIOD_MS, SLOW_MS = 8, 40
@@ -43,7 +44,7 @@ _ESTOP = Scenario(
     "estop soon",
     "an arm that works, and whose emergency stop is pressed",
     (
-        dataclasses.replace(SCENARIOS["steady"].phases[0], seconds=15.0),
+        dataclasses.replace(SCENARIOS["steady"].phases[0], seconds=6.0),
         Phase(name="pressed", seconds=600.0, ramp_s=0.1, power=Power.OFF, estop=True),
     ),
 )

@@ -55,7 +55,7 @@ def in_order(found: dict[str, list[int]], count: int) -> bool:
 async def arrives(layout: Layout, count: int) -> dict[str, list[int]]:
     """What the plant's stream has when everything has come, or when it comes no more."""
     async with talking(layout.hub.url, user="admin", password=WORDS["HUB_ADMIN"]) as client:
-        with anyio.move_on_after(40):
+        with anyio.move_on_after(60):
             while (await client.jetstream().stream_info("plant1-events")).state.messages < count:  # noqa: ASYNC110
                 await anyio.sleep(0.1)
         await anyio.sleep(0.3)

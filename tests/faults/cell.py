@@ -189,9 +189,9 @@ async def reset(stage: CellStage, random: Random) -> Seen:
     name = random.choice(sorted(stage.relays))
     async with stage.striking(name):
         for _ in range(5):
+            epochs = stage.watch.epochs(name)
             await stage.relays[name].cut()
-            since_s = time.monotonic()
-            recovery_s = await stage.watch.back(name, since_s, BACK_S)
+            recovery_s = await stage.watch.renewed(name, epochs, BACK_S)
     return Seen(recovery_s, "reconnected each time")
 
 

@@ -27,7 +27,6 @@ class Course:
         last: Its newest sample.
         at_s: When that came, on the monotonic clock.
         alive_s: When the newest came that was not silent.
-        began_s: When the newest epoch began that was not silent.
         n_samples: How many came.
         n_silent: How many of them said that nothing comes.
         pause_s: The longest time between two.
@@ -36,7 +35,6 @@ class Course:
     last: Sample
     at_s: float
     alive_s: float = 0.0
-    began_s: float = 0.0
     n_samples: int = 0
     n_silent: int = 0
     pause_s: float = 0.0
@@ -91,8 +89,6 @@ class Watch:
             self._check(course.last, sample)
             course.pause_s = max(course.pause_s, now_s - course.at_s)
         if sample.q not in SILENT:
-            if sample.epoch != course.last.epoch or not course.began_s:
-                course.began_s = now_s
             course.alive_s = now_s
         else:
             course.n_silent += 1
@@ -139,6 +135,29 @@ class Watch:
         """
         await self.until(lambda: self.alive_since(robot) > since_s, within_s, f"{what} of {robot}")
         return self.alive_since(robot) - since_s
+
+    def epochs(self, robot: str) -> set[str]:
+        """The newest epochs of a robot's topics."""
+        return {course.last.epoch for course in self.of(robot)}
+
+    async def renewed(self, robot: str, epochs: set[str], within_s: float) -> float:
+        """Wait until a robot says something in a new session: what was under way of the old one counts for nothing.
+
+        Args:
+            robot: Its name.
+            epochs: Those before its session ended.
+            within_s: How long it may take.
+
+        Returns:
+            How long it took, in s.
+        """
+        since_s = time.monotonic()
+        await self.until(
+            lambda: not self.is_silent(robot) and not epochs & self.epochs(robot),
+            within_s,
+            f"a new session of {robot}",
+        )
+        return time.monotonic() - since_s
 
     async def lost(self, robot: str, within_s: float) -> None:
         """Wait until the gateway says that nothing comes from a robot."""
