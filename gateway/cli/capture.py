@@ -28,7 +28,8 @@ from gateway.core.registry import Registry
 from gateway.core.settings import BrokenRobot, RobotSettings
 from gateway.errors import ConfigError, VendorError
 from gateway.record.making import Making
-from gateway.record.mcapfile import PART, Writer
+from gateway.record.mcapfile import Writer
+from gateway.record.settings import PART
 from gateway.record.spool import Message, Raw, SpoolError, SpoolReader
 from gateway.recording import Capture, Handed
 

@@ -14,8 +14,9 @@ from pathlib import Path
 import msgspec
 
 from gateway.record.making import Making
-from gateway.record.mcapfile import PART, Writer
+from gateway.record.mcapfile import Writer
 from gateway.record.retention import hold
+from gateway.record.settings import PART
 from gateway.record.spool import Outcome, SpoolError, SpoolReader
 
 _READ = 1 << 16

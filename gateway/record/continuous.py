@@ -15,8 +15,9 @@ from pathlib import Path
 
 from gateway.record.chunks import before
 from gateway.record.making import Making
-from gateway.record.mcapfile import PART, Writer
+from gateway.record.mcapfile import Writer
 from gateway.record.recorder import WARM_UP_S
+from gateway.record.settings import PART
 from gateway.record.spool import Begin, End, Lost, Message, Raw, Said
 
 # Blocks of what was received before a moment come so much later at most, in s.

@@ -15,12 +15,12 @@ from mcap.writer import Writer as McapWriter
 
 from gateway.api.model import GROUPS, Fault, Quality
 from gateway.api.plain_schemas import event_schema, plain, sample_schema
+from gateway.record.settings import PART
 
 LAYOUT = "1"
 PROFILE = "robot-gateway"
 METADATA = "robot-gateway"
 ROBOTS = "gateway.toml"
-PART = ".part"
 SET_BACK = "set_back"  # key of the metadata: the clock was set back while it was recorded
 OCTETS = "octets"
 Way = Literal["received", "sent"]

@@ -28,10 +28,9 @@ from gateway.record.chunks import Block
 from gateway.record.dump import Asked, Dump, Opened, Trigger, name_of, words_of
 from gateway.record.feed import Feed, Sink
 from gateway.record.filing import Filing
-from gateway.record.mcapfile import PART
 from gateway.record.packing import Packer
 from gateway.record.ring import Ring
-from gateway.record.settings import RecorderSettings
+from gateway.record.settings import PART, RecorderSettings
 from gateway.record.spool import Begin, End, Message, Outcome, Raw, Said
 from gateway.record.told import TOLD_GROUPS, ToldLog
 

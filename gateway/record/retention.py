@@ -10,8 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from gateway.record.mcapfile import PART
-from gateway.record.settings import RecorderSettings
+from gateway.record.settings import PART, RecorderSettings
 
 # 2026-11-22T03-04-05Z_r1_estop.pressed.mcap; a second one of the same second has -2 behind the time.
 NAME = re.compile(r"\d{4}-\d\d-\d\dT\d\d-\d\d-\d\dZ(-\d+)?_[a-z0-9_.-]+\.mcap")

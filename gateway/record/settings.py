@@ -10,6 +10,8 @@ from gateway.config.keys import Recorder
 
 # Below the folder that the service manager gives.
 FOLDER = "recordings"
+# Behind the name of a file that is still being written.
+PART = ".part"
 _MB = 1_000_000
 _DAY_S = 86_400.0
 

@@ -65,20 +65,21 @@ def controllers(count: int, rate_hz: float, phases: Phases = "spread") -> Iterat
 
 
 @contextmanager
-def gateway(ports: list[int], flush_ms: float | None = None) -> Iterator[tuple[Process, int]]:
+def gateway(ports: list[int], flush_ms: float | None = None, *, recorder: bool = True) -> Iterator[tuple[Process, int]]:
     """A gateway that reads every one of some controllers, and its port."""
     with tempfile.TemporaryDirectory() as folder:
         port, path = free_port(), Path(folder) / "gateway.toml"
-        path.write_text(configuration(port, ports, flush_ms), "utf-8")
+        path.write_text(configuration(port, ports, flush_ms, recorder=recorder), "utf-8")
         with running(["-m", "gateway", "run", "--config", str(path), "--log-level", "error"]) as process:
             _wait_until_read(port, len(ports))
             yield process, port
 
 
-def configuration(port: int, controllers: list[int], flush_ms: float | None = None) -> str:
+def configuration(port: int, controllers: list[int], flush_ms: float | None = None, *, recorder: bool = True) -> str:
     """The text of a gateway's configuration."""
     keys = cast("Simulator", Registry().simulator("fairino")).keys("cnde")
     text = f'[server]\nlisten = "127.0.0.1:{port}"\n' + (f"flush_ms = {flush_ms}\n" if flush_ms is not None else "")
+    text += "" if recorder else "\n[recorder]\nenabled = false\n"
     for number, controller in enumerate(controllers, start=1):
         own = {"name": f"r{number}", "vendor": "fairino", "protocol": "cnde", "host": "127.0.0.1"}
         entry = {**own, **keys, "port": controller}

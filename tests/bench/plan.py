@@ -22,6 +22,7 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
         encodings: How the samples are encoded whose cost is compared.
         points: How many points of each axis are measured that cost grows along.
         churn_s: For how long; memory is compared with that after a tenth of it.
+        fill_s: How long the recorder's rings take to fill in the largest load.
     """
 
     rounds: int = 5
@@ -37,6 +38,7 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
     encodings: tuple[str, ...] = ("json", "msgpack")
     points: int = 9
     churn_s: float = 60.0
+    fill_s: float = 25.0
 
 
 FULL = Plan()
@@ -55,4 +57,5 @@ TINY = Plan(
     encodings=("json",),
     points=1,
     churn_s=1.0,
+    fill_s=0.1,
 )
