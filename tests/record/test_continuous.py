@@ -11,9 +11,10 @@ from mcap.reader import make_reader
 
 from gateway.record.chunks import pack
 from gateway.record.continuous import OVERLAP_S, Continuous, Limits
-from gateway.record.mcapfile import PART, Writer
+from gateway.record.mcapfile import Writer
 from gateway.record.reading import open_recording
 from gateway.record.recorder import Recorder
+from gateway.record.settings import PART
 from gateway.record.spool import Lost, Raw, SpoolReader
 from gateway.testing.cell import virtual_cell
 from tests.record.kit import T0, begin, known_chunks, robots_toml

@@ -9,7 +9,8 @@ import pytest
 from jsonschema import Draft202012Validator
 from mcap.reader import make_reader
 
-from gateway.record.mcapfile import LAYOUT, PART, Mark, Writer
+from gateway.record.mcapfile import LAYOUT, Mark, Writer
+from gateway.record.settings import PART
 from tests.api.test_plain_schemas import faults
 from tests.record.kit import T0, known_chunks, known_recording
 

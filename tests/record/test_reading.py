@@ -10,8 +10,9 @@ from mcap.reader import make_reader
 from mcap.writer import Writer as McapWriter
 
 from gateway.record.making import Making
-from gateway.record.mcapfile import PART, Writer
+from gateway.record.mcapfile import Writer
 from gateway.record.reading import Entry, Recording, RecordingError, open_recording, said_of
+from gateway.record.settings import PART
 from gateway.record.spool import End
 from tests.record.kit import STEP, T0, begin, known_chunks, known_recording, replayed, robots_toml
 
