@@ -91,9 +91,15 @@ def running(arguments: Sequence[str]) -> Iterator[Process]:
 def part(server: Process, *others: Process) -> None:
     """Give a server one core, and what loads it the others: neither takes the other's time."""
     first, *rest = sorted(os.sched_getaffinity(0))
-    os.sched_setaffinity(server.pid, {first})
+    _keep_to(server.pid, {first})
     for process in others:
-        os.sched_setaffinity(process.pid, rest or {first})
+        _keep_to(process.pid, set(rest) or {first})
+
+
+def _keep_to(pid: int, cores: set[int]) -> None:
+    """Let all threads of a process run on some cores only."""
+    for thread in Path(f"/proc/{pid}/task").iterdir():
+        os.sched_setaffinity(int(thread.name), cores)
 
 
 def module(name: str, *arguments: object) -> list[str]:
