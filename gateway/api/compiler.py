@@ -101,7 +101,7 @@ def _is_whole(row: Signal, layout: Layout) -> bool:
 
 
 def _unless(look: ReadKey, nothing: object, stirred: Read, calm: Read) -> Read:
-    """Read what is nearly always 0 only where it is not: `status` of CNDE takes half the time (ADR 0021)."""
+    """Read what is nearly always 0 only where it is not (ADR 0021)."""
 
     def read(frame: Frame) -> tuple[object, model.Quality]:
         return calm(frame) if look(frame) == nothing else stirred(frame)

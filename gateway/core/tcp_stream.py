@@ -45,7 +45,7 @@ class TcpStream(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         """Hand bytes on, or keep them for who takes them next."""
-        if self._take is not None:
+        if self._take is not None and self._over is not None and not self._over.done():  # not given up already
             try:
                 self._take(data)
             except BaseException as error:  # noqa: BLE001 - raised again where `deliver` is awaited
@@ -79,7 +79,7 @@ class TcpStream(asyncio.Protocol):
 
     async def deliver(self, take: Callable[[bytes], None]) -> None:
         """Hand on what comes, at once; see `gateway.core.transport.Connection`. What came before comes first."""
-        if self._data:
+        if self._failure is None and self._data:
             data, self._data = self._data, b""
             if self._is_full:
                 self._is_full = False
@@ -91,8 +91,11 @@ class TcpStream(asyncio.Protocol):
                 await self._over
             finally:
                 self._take = None
-        failure, self._failure = self._failure, None
-        raise failure or self._ended or LinkClosed("the connection is closed")
+        failure, self._failure = self._failure or self._ended or LinkClosed("the connection is closed"), None
+        try:
+            raise failure
+        finally:
+            del failure  # its traceback holds this frame: a circle that only the collector of garbage would end
 
     async def send(self, data: bytes) -> None:
         """Send bytes, once those before have found room."""

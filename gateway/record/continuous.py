@@ -20,7 +20,8 @@ from gateway.record.recorder import WARM_UP_S
 from gateway.record.settings import PART
 from gateway.record.spool import Begin, End, Lost, Message, Raw, Said
 
-# Blocks of what was received before a moment come so much later at most, in s.
+# Blocks of what was received before a moment come so much later at most, in s: closed after a second or two, then
+# gathered and compressed (`packing.GATHER_S`).
 OVERLAP_S = 3.0
 _EVENTS = ("/events", "/commands")
 

@@ -55,14 +55,14 @@ class Packer:
     """Compresses the closed blocks of all rings in a thread, one after the other.
 
     Args:
-        gather_s: How long it waits for further blocks when one has come, in s.
+        gather_s: How long it waits for further blocks when one has come, in s; not where a batch is complete.
     """
 
     def __init__(self, gather_s: float = GATHER_S) -> None:
         self._gather_s = gather_s
         self._waiting: list[tuple[Closed, Callable[[], None]]] = []
         self._n_bytes = 0
-        self._more = anyio.Event()
+        self._more, self._many = anyio.Event(), anyio.Event()
         self._is_running = False
 
     def take(self, closed: Closed, done: Callable[[], None]) -> bool:
@@ -77,6 +77,8 @@ class Packer:
         self._waiting.append((closed, done))
         self._n_bytes += closed.n_bytes
         self._more.set()
+        if len(self._waiting) >= _BATCH:
+            self._many.set()
         return True
 
     async def run(self) -> None:
@@ -86,8 +88,9 @@ class Packer:
         try:
             while True:
                 await self._more.wait()
-                await anyio.sleep(self._gather_s)
-                self._more = anyio.Event()
+                with anyio.move_on_after(self._gather_s):
+                    await self._many.wait()
+                self._more, self._many = anyio.Event(), anyio.Event()
                 while self._waiting:
                     await self._pack_some(limiter, own)
         finally:
@@ -98,7 +101,10 @@ class Packer:
         batch = self._waiting[:_BATCH]
         del self._waiting[:_BATCH]
         work = partial(_pack, [closed for closed, _ in batch], own)
-        await anyio.to_thread.run_sync(work, limiter=limiter)
+        try:
+            await anyio.to_thread.run_sync(work, limiter=limiter)
+        except RuntimeError:  # the system starts no thread (pids limit): better late than not at all
+            work()
         for closed, done in batch:
             self._n_bytes -= closed.n_bytes
             done()

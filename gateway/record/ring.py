@@ -26,7 +26,7 @@ class Reader(Protocol):
     """Who reads on while the ring is written."""
 
     def on_block(self, robot: str, block: Block) -> None:
-        """A block of a robot was closed."""
+        """A block of a robot was closed, and has been compressed."""
         ...
 
 

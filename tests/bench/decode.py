@@ -148,7 +148,7 @@ def _baselines(
     unpack, raw, start = words.struct.unpack_from, frame.raw, frame.start
     made = by_ctypes.Made(layout, rows, {**given, **msgspec.structs.asdict(subject.options(given))})
     return {
-        f"struct.unpack of the same {words.count} words": lambda: unpack(raw, start),
+        f"struct.unpack of the {words.count} words that they follow from": lambda: unpack(raw, start),
         _CONVERTED: lambda: made.converted(raw, start),
         _READ: lambda: made.read(raw, start),
     }

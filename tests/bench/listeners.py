@@ -2,8 +2,8 @@
 
     python -m tests.bench.listeners PORT DIALECT COUNT latency|check
 
-It says `ready` when each has its first sample, and for each line that it is told what it saw since the last one; what
-it saw before a line `new` is forgotten.
+It says `ready` when so many messages with samples have come, and for each line that it is told what it saw since the
+last one; `latency` forgets what it saw before a line `new`.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from vendors.fairino.cnde_states import ALL_STATES, granted
 
 _TEXT, _BINARY, _PING, _PONG = 0x81, 0x82, 0x89, 0x8A
 _DEG = 180 / math.pi
+_DATA, _MISSED = b'{"op":"data"', b'{"op":"missed"'
 _KEPT = 20_000  # distinct messages that are remembered
 _PATIENCE_S = 20.0
 _TOPICS = {"latency": ("*/joints",), "check": ("*/joints", "*/tcp")}
@@ -68,8 +69,7 @@ class _Numbered(msgspec.Struct):
 
 
 class _StampedMessage(msgspec.Struct):
-    op: str
-    samples: list[_Stamped] | dict[str, int] = []
+    samples: list[_Stamped]
 
 
 class _NumberedMessage(msgspec.Struct):
@@ -103,18 +103,22 @@ class Stamps:
 
     def take(self, data: bytes, now_s: float, _client: int) -> None:
         """Take a message of the gateway."""
-        self._come.append((data, now_s))
+        if data.startswith(_DATA):
+            self._come.append((data, now_s))
+        else:
+            self.seen.missed += data.startswith(_MISSED)
 
     def take_bare(self, data: bytes, now_s: float) -> bytes:
         """Take bytes of the relay; returns what is not a whole frame yet."""
         whole = len(data) - len(data) % self._frame_size
-        self._bare.append((data[:whole], now_s))
+        if whole:
+            self._bare.append((data[:whole], now_s))
         return data[whole:]
 
     def told(self) -> Seen:
         """What was seen since the last time."""
         taken_s = sorted([*self._of_messages(), *self._of_bare()])
-        seen, self.seen = self.seen, Seen()
+        seen = self.seen
         self.forget()
         seen.samples = len(taken_s)
         seen.taken_s = [taken_s[min(len(taken_s) - 1, int(len(taken_s) * share))] for share in QUANTILES if taken_s]
@@ -122,13 +126,11 @@ class Stamps:
 
     def forget(self) -> None:
         """Forget what came so far."""
-        self._come, self._bare = [], []
+        self.seen, self._come, self._bare = Seen(), [], []
 
     def _of_messages(self) -> Iterator[float]:
         for data, now_s in self._come:
-            message = _STAMPS(data)
-            self.seen.missed += message.op == "missed"
-            for sample in message.samples if message.op == "data" and isinstance(message.samples, list) else ():
+            for sample in _STAMPS(data).samples:
                 if sample.data.position and sample.data.position[0] is not None:
                     yield now_s - sample.data.position[0] * _DEG
 
@@ -139,7 +141,7 @@ class Stamps:
 
     @property
     def n_samples(self) -> int:
-        """How many messages came so far."""
+        """How many messages with samples came so far."""
         return len(self._come) + len(self._bare)
 
 
@@ -177,10 +179,6 @@ class Numbers:
         """Bare bytes have no numbers."""
         self.n_samples += 1
         return data[:0]
-
-    def forget(self) -> None:
-        """What came so far is the beginning that the next is compared with."""
-        self.seen, self.n_samples = Seen(), 0
 
     def told(self) -> Seen:
         """What was seen since the last time."""
@@ -225,7 +223,7 @@ def _read_frames(sock: socket.socket, data: bytes, take: Callable[[bytes], None]
 def _answered(looking: Stamps | Numbers) -> bool:
     """Answer a line of the standard input; whether there was one."""
     word = os.read(0, 4096)
-    if word == b"new\n":
+    if word == b"new\n" and isinstance(looking, Stamps):
         looking.forget()
     if word:
         sys.stdout.buffer.write(msgspec.json.encode(looking.told()) + b"\n")

@@ -6,6 +6,7 @@ from contextlib import asynccontextmanager
 
 import anyio
 import anyio.abc
+import anyio.lowlevel
 import pytest
 
 from gateway.core.transport import Connection, TcpClient
@@ -61,6 +62,58 @@ async def test_a_receive_that_is_given_up_loses_nothing() -> None:
         assert scope.cancelled_caught
         await controller.send(b"late")
         assert await received(connection) == b"late"
+
+
+@pytest.mark.parametrize("loop", ["asyncio", "uvloop"])
+def test_nothing_is_handed_to_a_reader_that_was_given_up_and_nothing_is_lost(loop: str) -> None:
+    async def story() -> None:
+        taken: list[tuple[bytes, bool]] = []
+        async with connected() as (connection, controller), anyio.create_task_group() as tasks:
+            scope = anyio.CancelScope()
+
+            async def read() -> None:
+                with scope:
+                    await connection.deliver(lambda data: taken.append((data, scope.cancel_called)))
+
+            tasks.start_soon(read)
+            await anyio.lowlevel.checkpoint()
+            await controller.send(b"early")
+            while not taken:
+                await anyio.lowlevel.checkpoint()
+            await controller.send(b"late")
+            scope.cancel()
+            await anyio.wait_all_tasks_blocked()
+            got = b"".join(data for data, _ in taken)
+            assert not any(given_up for _, given_up in taken)
+            assert (got if got.endswith(b"late") else got + await received(connection)) == b"earlylate"
+
+    anyio.run(story, backend_options={"use_uvloop": loop == "uvloop"})
+
+
+async def test_a_failure_that_came_with_the_giving_up_is_raised_before_anything_more_is_handed_on() -> None:
+    async with connected() as (connection, controller), anyio.create_task_group() as tasks:
+        scope, failed = anyio.CancelScope(), anyio.Event()
+
+        def fail(data: bytes) -> None:
+            failed.set()
+            scope.cancel()  # at the same moment the reader is given up
+            raise ZeroDivisionError(data)
+
+        async def read() -> None:
+            with scope:
+                await connection.deliver(fail)
+
+        tasks.start_soon(read)
+        await anyio.lowlevel.checkpoint()
+        await controller.send(b"bad")
+        with anyio.fail_after(5):
+            await failed.wait()
+        await controller.send(b"more")
+        taken: list[bytes] = []
+        with pytest.raises(ZeroDivisionError):
+            await connection.deliver(taken.append)
+        assert taken == []
+        assert await received(connection) == b"more"
 
 
 async def test_the_last_bytes_come_before_the_end() -> None:

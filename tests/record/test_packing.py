@@ -151,6 +151,30 @@ async def test_who_asks_gets_a_block_that_the_thread_is_at_and_nobody_gets_it_tw
         assert ring.n_bytes == n_bytes + shown.blocks[-1][1].n_bytes
 
 
+async def test_many_blocks_do_not_wait_for_more() -> None:
+    async with packed(Packer(gather_s=3600)) as (ring, shown):
+        for number in range(8):
+            fill(ring, number)
+        await shown.until(8)
+        fill(ring, 8)
+        assert shown.numbers() == list(range(8))
+
+
+async def test_where_no_thread_can_be_started_blocks_are_compressed_all_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def cannot(*_: object, **__: object) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr("gateway.record.packing.anyio.to_thread.run_sync", cannot)
+    async with packed() as (ring, shown):
+        fill(ring, 0)
+        await shown.until(1)
+        fill(ring, 1)
+        await shown.until(2)
+        assert shown.numbers() == numbers(ring.blocks(0.0)) == [0, 1]
+
+
 async def test_what_waits_is_bounded_and_beyond_it_blocks_are_compressed_as_they_are_closed() -> None:
     packer, gate = Packer(gather_s=0.0), Gate()
     async with packed(packer, gate) as (ring, shown):
