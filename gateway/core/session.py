@@ -97,11 +97,7 @@ class Session:
             LinkError: Why it was lost.
         """
         try:
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(self._ask)
-                await self._read()
-        except BaseExceptionGroup as group:
-            raise _first_leaf(group) from group
+            await self._read_and_ask()
         finally:
             now = self._now()
             self._note(0, self._decoder.end(), now, 0.0)
@@ -109,6 +105,34 @@ class Session:
             if goodbye:
                 with anyio.move_on_after(_GOODBYE_S, shield=True):
                     await self._say(goodbye)
+
+    async def _read_and_ask(self) -> None:
+        """Read, and ask beside it, until one of them cannot go on.
+
+        A session that is lost leaves nothing that only the collector of garbage would end: a task that is cancelled by
+        its group would, so the asking is given up in a scope of its own, and so would an exception in a local variable.
+        """
+        asking, lost = anyio.CancelScope(), None
+
+        async def ask() -> None:
+            with asking:
+                await self._ask()
+
+        try:
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(ask)
+                try:
+                    await self._read()
+                except LinkError as error:
+                    lost = error
+                asking.cancel()
+        except BaseExceptionGroup as group:
+            raise _first_leaf(group) from group
+        try:
+            if lost is not None:
+                raise lost
+        finally:
+            del lost
 
     async def _read(self) -> None:
         stale_at_s = self._now() + self._first_s

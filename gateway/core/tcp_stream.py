@@ -34,7 +34,7 @@ class TcpStream(asyncio.Protocol):
         self._take: Callable[[bytes], None] | None = None
         self._over: asyncio.Future[None] | None = None
         self._failure: BaseException | None = None
-        self._ended: LinkClosed | None = None
+        self._ended: str | None = None  # why
         self._is_full = self._is_lost = False
         self._writable = asyncio.Event()
         self._writable.set()
@@ -59,14 +59,14 @@ class TcpStream(asyncio.Protocol):
 
     def eof_received(self) -> bool:
         """The controller sends no more; the connection is closed by its owner."""
-        self._end(LinkClosed("the controller closed the connection"))
+        self._end("the controller closed the connection")
         return True
 
     def connection_lost(self, error: Exception | None) -> None:
         """The connection is no more."""
         reason = "the controller closed the connection" if error is None else self._describe(error)
         self._is_lost = True
-        self._end(LinkClosed(reason))
+        self._end(reason)
         self._writable.set()
 
     def pause_writing(self) -> None:
@@ -91,7 +91,7 @@ class TcpStream(asyncio.Protocol):
                 await self._over
             finally:
                 self._take = None
-        failure, self._failure = self._failure or self._ended or LinkClosed("the connection is closed"), None
+        failure, self._failure = self._failure or self._closed(), None
         try:
             raise failure
         finally:
@@ -101,7 +101,7 @@ class TcpStream(asyncio.Protocol):
         """Send bytes, once those before have found room."""
         await self._writable.wait()
         if self._transport.is_closing():
-            raise self._ended or LinkClosed("the connection is closed")
+            raise self._closed()
         self._transport.write(data)
 
     async def aclose(self) -> None:
@@ -112,7 +112,10 @@ class TcpStream(asyncio.Protocol):
         if not self._is_lost:  # asyncio's own transport does not take it twice
             self._transport.abort()
 
-    def _end(self, why: LinkClosed) -> None:
+    def _closed(self) -> LinkClosed:
+        return LinkClosed(self._ended or "the connection is closed")
+
+    def _end(self, why: str) -> None:
         self._ended = self._ended or why
         self._stop()
 

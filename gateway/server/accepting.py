@@ -74,6 +74,7 @@ class Bounded(web.RequestHandler):
         if self._timer is not None:
             self._timer.cancel()
         super().connection_lost(exc)
+        self._data_received_cb = None  # aiohttp leaves it: with the WebSocket and its request it is a circle
 
     def data_received(self, data: bytes) -> None:
         """Take bytes; those of the next request begin its header."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from abc import ABC, abstractmethod
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
 from typing import Protocol, cast
 
@@ -127,8 +127,31 @@ class Guest(ABC):
             is_wrong = self._socket.close_code == WSCloseCode.ABNORMAL_CLOSURE
             await self._socket.close(code=WSCloseCode.PROTOCOL_ERROR if is_wrong else WSCloseCode.OK, drain=False)
 
+    async def read_beside(self, work: Callable[[], Awaitable[None]]) -> None:
+        """Read, with some work beside it, until the client leaves.
+
+        The work is given up in a scope of its own: anyio keeps the exception of a task that is cancelled in a circle
+        with everything that it has, which only the collector of garbage would end.
+        """
+        work_scope = anyio.CancelScope()
+
+        async def working() -> None:
+            with work_scope:
+                await work()
+
+        try:
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(working)
+                await self.read()
+                work_scope.cancel()
+        except* ConnectionError:
+            pass  # the client is gone: nobody is left to be told
+
     def leave(self) -> None:
-        """Give back what the client has taken of its peer's share."""
+        """Give back what the client has taken of its peer's share, and end what would keep it in memory."""
+        failure = self._socket.exception()
+        if failure is not None:  # aiohttp keeps it, and it keeps the frames that it has gone through
+            failure.__traceback__ = failure.__context__ = None
         if self._quota is not None:
             self._quota.close()
 

@@ -123,12 +123,7 @@ class Client(Guest):
             self._owe(self._requests.welcome(access))
             if first is not None:
                 await self._answer(first)
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(self._look_after)
-                await self.read()
-                tasks.cancel_scope.cancel()
-        except* ConnectionError:
-            pass  # the client is gone: nobody is left to be told
+            await self.read_beside(self._look_after)
         finally:
             self._outbox.close()
 

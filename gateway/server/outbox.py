@@ -31,6 +31,10 @@ SAMPLES_A_TURN = 200
 MISSED_PERIOD_S = 1.0
 
 
+def _no_turn(_: Shared) -> None:
+    """Send nothing."""
+
+
 class Subscription:
     """One subscription of one client: a member of the cohort of all that want the same.
 
@@ -103,7 +107,7 @@ class Outbox:
         flush_s: float,
         now: Callable[[], float],
         cohorts: Cohorts | None = None,
-        on_turn: Callable[[Shared], None] = lambda _: None,
+        on_turn: Callable[[Shared], None] = _no_turn,
     ) -> None:
         self.encoding = encoding
         self.cohorts = Cohorts(flush_s, now, self._woken) if cohorts is None else cohorts
@@ -150,10 +154,11 @@ class Outbox:
         return found is not None
 
     def close(self) -> None:
-        """Close every subscription."""
+        """Close every subscription; there are no more turns."""
         for name in list(self.subscriptions):
             self.remove(name)
         self.cohorts.forget(self)
+        self.flush = _no_turn
 
     def pace(self, flush_s: float) -> None:
         """Collect samples without a rate for another time from now on, as all do that share its cohorts."""

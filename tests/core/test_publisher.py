@@ -213,7 +213,7 @@ class PartsBench:
         self.at(at_s).publisher.expire(at_s)
 
     def silent(self, at_s: float, quality: Quality = Quality.STALE) -> None:
-        self.at(at_s).publisher.silent(quality, self.timeline.now(), None)
+        self.at(at_s).publisher.silent(quality, self.timeline.stamp(at_s), None)  # as a link does
 
     def latest(self, group: str) -> Sample:
         topic = self.bus.topics[f"r1/{group}"]
@@ -584,6 +584,7 @@ class Story:
 
 @given(STEPS, st.sampled_from([0.5, 1.0, 2.0]))
 @example([(0, {}), (0, "back"), (0, "slew"), (0, {})], 0.5)
+@example([(0, "silent"), (0, "slew"), (0, {})], 0.5)
 def test_whatever_happens_time_and_seq_never_go_back_inside_an_epoch_and_no_value_is_too_old(
     steps: list[tuple[int, Told | str]], stale_s: float
 ) -> None:

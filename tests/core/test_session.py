@@ -1,18 +1,23 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 from collections.abc import Callable, Iterable, Sequence
 
 import anyio
+import anyio.abc
 import pytest
 
 from gateway.api.decoder import Event, Frame, RefusedKind, Reject, Skipped
 from gateway.api.vendor import OnStale
+from gateway.core.clock import SystemClock
 from gateway.core.session import Session
+from gateway.core.transport import TcpClient
 from gateway.errors import LinkClosed, LinkError, LinkRefused, LinkStale
 from tests.core import toy
 from tests.core.fakes import FakeConnection, LoopClock, run_jumping
+from tests.garbage import uncollected
 
 
 class Log:
@@ -285,3 +290,40 @@ def test_an_answer_too_many_that_comes_in_the_quiet_time_ends_the_session() -> N
     assert isinstance(error, LinkRefused)
     assert error.kind == "out_of_step"
     assert (len(asked_s), len(log.frames_s)) == (1, 1)
+
+
+def test_a_session_that_is_lost_leaves_nothing_to_the_collector_of_garbage() -> None:
+    async def hang_up(controller: anyio.abc.SocketStream) -> None:
+        async with controller:
+            await controller.send(b"junk")
+
+    async def lose(port: int) -> None:
+        connection = await TcpClient("127.0.0.1", port).connect()
+        decoder = toy.PUSHED.decoder(toy.PUSHED.options())
+        one = Session(
+            connection, decoder, Log(), period_s=None, stale_s=5.0, on_stale="close", clock=SystemClock(), tick_s=0.1
+        )
+        with contextlib.suppress(LinkClosed):
+            await one.run()
+        await connection.aclose()
+
+    async def story() -> None:
+        listener = await anyio.create_tcp_listener(local_host="127.0.0.1", local_port=0)
+        port = listener.extra(anyio.abc.SocketAttribute.local_port)  # noqa: S610 - not that `extra`
+        async with listener, anyio.create_task_group() as tasks:
+            tasks.start_soon(listener.serve, hang_up)
+            await lose(port)
+            with uncollected() as found:
+                for _ in range(5):
+                    await lose(port)
+            tasks.cancel_scope.cancel()
+        ours = {
+            "Session",
+            "TcpStream",
+            "LinkClosed",
+            "CancelScope",
+            type(toy.PUSHED.decoder(toy.PUSHED.options())).__qualname__,
+        }
+        assert not ours & found.keys()
+
+    anyio.run(story, backend_options={"use_uvloop": True})

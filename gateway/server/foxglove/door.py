@@ -99,12 +99,7 @@ class Client(Guest):
     async def serve(self) -> None:
         """Read and write until the client leaves."""
         try:
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(self._write)
-                await self.read()
-                tasks.cancel_scope.cancel()
-        except* ConnectionError:
-            pass  # the client is gone: nobody is left to be told
+            await self.read_beside(self._write)
         finally:
             self._outbox.close()
 
