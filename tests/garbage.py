@@ -12,6 +12,7 @@ from contextlib import contextmanager
 def uncollected() -> Iterator[Counter[str]]:
     """What is left in circles, by its type; filled in at the end."""
     found: Counter[str] = Counter()
+    was_enabled = gc.isenabled()
     gc.collect()
     gc.disable()
     gc.set_debug(gc.DEBUG_SAVEALL)
@@ -22,4 +23,5 @@ def uncollected() -> Iterator[Counter[str]]:
     finally:
         gc.set_debug(0)
         gc.garbage.clear()
-        gc.enable()
+        if was_enabled:
+            gc.enable()

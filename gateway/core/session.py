@@ -109,10 +109,11 @@ class Session:
     async def _read_and_ask(self) -> None:
         """Read, and ask beside it, until one of them cannot go on.
 
-        A session that is lost leaves nothing that only the collector of garbage would end: a task that is cancelled by
-        its group would, so the asking is given up in a scope of its own, and so would an exception in a local variable.
+        A session that is lost shall leave nothing to the collector of garbage. A task that its group cancels leaves a
+        circle: the asking has a scope of its own. So does an exception that is kept, by a group or in a variable.
         """
-        asking, lost = anyio.CancelScope(), None
+        asking = anyio.CancelScope()
+        lost: BaseException | None = None
 
         async def ask() -> None:
             with asking:
@@ -127,7 +128,11 @@ class Session:
                     lost = error
                 asking.cancel()
         except BaseExceptionGroup as group:
-            raise _first_leaf(group) from group
+            error = _first_leaf(group)
+            if not isinstance(error, LinkError):
+                raise error from group  # a mistake: the log shows all of it
+            lost = lost or error  # what was read says more than that it could not be asked
+            del error
         try:
             if lost is not None:
                 raise lost

@@ -7,6 +7,7 @@ from the moment it is accepted, and one too many is closed before anything is ma
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import math
 import socket
@@ -74,7 +75,8 @@ class Bounded(web.RequestHandler):
         if self._timer is not None:
             self._timer.cancel()
         super().connection_lost(exc)
-        self._data_received_cb = None  # aiohttp leaves it: with the WebSocket and its request it is a circle
+        with contextlib.suppress(AttributeError):  # nothing of aiohttp's that it promises
+            self._data_received_cb = None  # it is left: with the WebSocket and its request a circle
 
     def data_received(self, data: bytes) -> None:
         """Take bytes; those of the next request begin its header."""

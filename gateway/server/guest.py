@@ -142,7 +142,8 @@ class Guest(ABC):
         try:
             async with anyio.create_task_group() as tasks:
                 tasks.start_soon(working)
-                await self.read()
+                with contextlib.suppress(ConnectionError):
+                    await self.read()
                 work_scope.cancel()
         except* ConnectionError:
             pass  # the client is gone: nobody is left to be told

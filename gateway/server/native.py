@@ -139,7 +139,7 @@ class Client(Guest):
 
     def _on_turn(self, shared: Shared) -> None:
         """Write what is due. A mistake in it is this client's alone."""
-        if self.sent_away is not None or self._wire.ended:
+        if self._wire.ended:
             self._outbox.fall_behind()  # what still comes until it has left is bounded
         elif self._clogged or self._wire.full:
             self._clogged = True

@@ -81,6 +81,22 @@ class Subscription:
             self._outbox.wake_by(self._outbox.missed_due_s)
 
 
+class _Bell:
+    """Wakes the one task of an outbox that stands alone; its cohorts know the bell and not the outbox."""
+
+    def __init__(self) -> None:
+        self._rung = anyio.Event()
+
+    def ring(self, _: float) -> None:
+        """Something is due by a monotonic time."""
+        self._rung.set()
+
+    async def rung(self) -> None:
+        """Wait until it is rung."""
+        self._rung = anyio.Event()
+        await self._rung.wait()
+
+
 class Outbox:
     """Everything that one client is owed.
 
@@ -110,7 +126,8 @@ class Outbox:
         on_turn: Callable[[Shared], None] = _no_turn,
     ) -> None:
         self.encoding = encoding
-        self.cohorts = Cohorts(flush_s, now, self._woken) if cohorts is None else cohorts
+        self._bell = _Bell()
+        self.cohorts = Cohorts(flush_s, now, self._bell.ring) if cohorts is None else cohorts
         self.flush = on_turn
         self.missed: Counter[str] = Counter()
         self.overflowed = False
@@ -122,7 +139,7 @@ class Outbox:
         self._last_seqs: dict[str, int] = {}  # by ring
         self._events_gone: int | None = 0
         self._missed_said_s = -math.inf
-        self._wake = anyio.Event()
+        self._is_closed = False
 
     @property
     def due_s(self) -> float:
@@ -140,7 +157,9 @@ class Outbox:
         return bool(self._events) or self.behind
 
     def add(self, name: int | str, subscription: Subscription) -> None:
-        """Open a subscription; one of the same name is closed."""
+        """Open a subscription; one of the same name is closed. Not when the client is on its way out."""
+        if self._is_closed:
+            return
         self.remove(name)
         self.subscriptions[name] = subscription
         subscription.open()
@@ -159,6 +178,7 @@ class Outbox:
             self.remove(name)
         self.cohorts.forget(self)
         self.flush = _no_turn
+        self._is_closed = True
 
     def pace(self, flush_s: float) -> None:
         """Collect samples without a rate for another time from now on, as all do that share its cohorts."""
@@ -216,9 +236,8 @@ class Outbox:
     async def wait(self) -> None:
         """Wait until something is due; only for an outbox that stands alone."""
         while self.due_s > self.cohorts.now():
-            self._wake = anyio.Event()
             with anyio.CancelScope(deadline=deadline_s(self.due_s)):
-                await self._wake.wait()
+                await self._bell.rung()
 
     def collect(self) -> list[bytes]:
         """Everything that is due now, as messages; only for an outbox that stands alone."""
@@ -268,6 +287,3 @@ class Outbox:
         self._missed_said_s = now_s
         key = ("missed", tuple(message.samples.items()), message.events)
         messages.append(shared.other(self._cut, key, lambda: encode_response(self.encoding, message)))
-
-    def _woken(self, _: float) -> None:
-        self._wake.set()

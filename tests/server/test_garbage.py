@@ -10,6 +10,7 @@ import anyio
 import anyio.to_thread
 import pytest
 
+from gateway.server import sse
 from tests.garbage import uncollected
 from tests.server.kit import cell, publish, running_door
 
@@ -44,6 +45,10 @@ def streams(port: int) -> None:
     visit(port, "/api/v1/stream?topics=*/joints", "Accept: text/event-stream\r\n")
 
 
+def reads_events(port: int) -> None:
+    visit(port, "/api/v1/events")
+
+
 def subscribes_and_is_gone(port: int) -> None:
     visit(port, "/ws?topics=*/joints", _UPGRADE, b"101")
 
@@ -57,9 +62,14 @@ def is_foxglove_and_is_gone(port: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "comes", [asks, streams, subscribes_and_is_gone, subscribes_and_says_farewell, is_foxglove_and_is_gone]
+    "comes",
+    [asks, reads_events, streams, subscribes_and_is_gone, subscribes_and_says_farewell, is_foxglove_and_is_gone],
 )
-def test_a_client_that_has_left_leaves_nothing_behind(comes: Callable[[int], None]) -> None:
+def test_a_client_that_has_left_leaves_nothing_behind(
+    comes: Callable[[int], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sse, "_WATCH_S", 0.01)  # so soon a stream looks whether its client is still there
+
     async def story() -> None:
         bus, robots = cell("r1")
         publish(bus, "r1/joints", 1)
