@@ -128,11 +128,11 @@ class Session:
                     lost = error
                 asking.cancel()
         except BaseExceptionGroup as group:
-            error = _first_leaf(group)
-            if not isinstance(error, LinkError):
-                raise error from group  # a mistake: the log shows all of it
-            lost = lost or error  # what was read says more than that it could not be asked
-            del error
+            leaf = _first_leaf(group)
+            if not isinstance(leaf, LinkError):
+                raise leaf from group  # a mistake: the log shows all of it
+            lost = lost or leaf  # what was read says more than that it could not be asked
+            del leaf
         try:
             if lost is not None:
                 raise lost
