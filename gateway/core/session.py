@@ -10,6 +10,7 @@ import anyio
 
 from gateway.api.decoder import Decoder, Event, Frame, Refused, RefusedKind, Reject
 from gateway.api.vendor import OnStale
+from gateway.core.aside import until_given_up
 from gateway.core.clock import Clock, deadline_s
 from gateway.core.tap import Tap
 from gateway.core.transport import Connection
@@ -109,19 +110,14 @@ class Session:
     async def _read_and_ask(self) -> None:
         """Read, and ask beside it, until one of them cannot go on.
 
-        A session that is lost shall leave nothing to the collector of garbage. A task that its group cancels leaves a
-        circle: the asking has a scope of its own. So does an exception that is kept, by a group or in a variable.
+        A session that is lost shall leave nothing to the collector of garbage, as an exception does that is kept by a
+        group or in a variable.
         """
         asking = anyio.CancelScope()
         lost: BaseException | None = None
-
-        async def ask() -> None:
-            with asking:
-                await self._ask()
-
         try:
             async with anyio.create_task_group() as tasks:
-                tasks.start_soon(ask)
+                tasks.start_soon(until_given_up, asking, self._ask)
                 try:
                     await self._read()
                 except LinkError as error:

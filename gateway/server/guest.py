@@ -15,6 +15,7 @@ import structlog
 from aiohttp import WSCloseCode, WSMessage, WSMsgType, web
 
 from gateway.api.messages import MAX_MESSAGE_BYTES
+from gateway.core.aside import until_given_up
 from gateway.server.access import ACCESS, REVOKED, Caller, announced, caller_of, parted
 from gateway.server.frames import Wire
 from gateway.server.limits import Quota
@@ -128,20 +129,11 @@ class Guest(ABC):
             await self._socket.close(code=WSCloseCode.PROTOCOL_ERROR if is_wrong else WSCloseCode.OK, drain=False)
 
     async def read_beside(self, work: Callable[[], Awaitable[None]]) -> None:
-        """Read, with some work beside it, until the client leaves.
-
-        The work is given up in a scope of its own: anyio keeps the exception of a task that is cancelled in a circle
-        with everything that it has, which only the collector of garbage would end.
-        """
+        """Read, with some work beside it, until the client leaves."""
         work_scope = anyio.CancelScope()
-
-        async def working() -> None:
-            with work_scope:
-                await work()
-
         try:
             async with anyio.create_task_group() as tasks:
-                tasks.start_soon(working)
+                tasks.start_soon(until_given_up, work_scope, work)
                 with contextlib.suppress(ConnectionError):
                     await self.read()
                 work_scope.cancel()
